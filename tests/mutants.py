@@ -36,6 +36,8 @@ CHOICES, DRIFT, JUDGED = "tests/test_choices.py::", "tests/test_drift.py::", "te
 SUPPRESSED = f"{CHOICES}test_suppression_leaves_neighbours_and_takes_second_boxes_of_one_vehicle"
 VERDICTS = f"{CHOICES}test_the_words_for_a_scale_follow_its_uncertainty"
 BODY = f"{CHOICES}test_the_body_of_a_car_in_metres"
+EVIDENCE, PROJECTED, PHOTO = "tests/test_evidence.py::", "tests/test_projection.py::", "tests/test_photo.py::"
+ALIKE = f"{CHOICES}test_what_two_measurements_of_the_same_vehicles_may_differ_by"
 LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
 MUTANTS = (
     Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.7)", SUPPRESSED),
@@ -122,6 +124,103 @@ MUTANTS = (
         "place, radius, square, None, size)",
         "tests/test_every_option.py::test_what_would_do_nothing_is_refused",
     ),
+    Mutant(
+        "core/evidence.py",
+        "found.blurred(-(e.common**2)), e.own)",
+        "found, e.own)",
+        f"{EVIDENCE}test_an_error_that_vehicles_share_hides_no_contradiction_with_them",
+    ),
+    Mutant(
+        "core/evidence.py",
+        "float(np.hypot(out.get(e.kind, 0.0), spread * w))",
+        "float(spread * w)",
+        f"{EVIDENCE}test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty",
+    ),
+    Mutant(
+        "core/evidence.py",
+        "for e in sorted(heard, key=lambda e: -e.common):",
+        "for e in heard:",
+        f"{EVIDENCE}test_in_which_order_evidence_comes_does_not_matter",
+    ),
+    Mutant(
+        "core/evidence.py",
+        "if other.kind != e.kind and other.doubt <= STRONG:",
+        "if other.doubt <= STRONG:",
+        f"{EVIDENCE}test_evidence_does_not_support_a_scale_of_its_own_that_nothing_else_does",
+    ),
+    Mutant(
+        "core/evidence.py",
+        "np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))",
+        "np.exp(-0.5 * (off - off.min())))",
+        f"{EVIDENCE}test_of_two_scales_about_as_near_the_sharper_one_is_meant",
+    ),
+    Mutant("core/pooling/agreement.py", "own += 1.57 * spread**2 / len(each)", "own += 0", ALIKE),
+    Mutant(
+        "core/pooling/agreement.py",
+        'b.parts.get("fleet", 0.0))) if alike else 0.0',
+        'b.parts.get("fleet", 0.0)))',
+        ALIKE,
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
+        "max(agreement.apart**2 - agreement.apart_sd**2, 0.0)",
+        "0.0",
+        f"{CHOICES}test_a_difference_that_is_not_explained_is_the_mixs",
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
+        "return next(contradicted, agreement.surer if agreement.contradicts else None)",
+        "return agreement.surer if agreement.contradicts else next(contradicted, None)",
+        f"{CHOICES}test_what_other_evidence_contradicts_stands_alone_though_the_other_is_surer",
+    ),
+    Mutant(
+        "core/projection/exact.py",
+        "(size > 0.05 * target / gain).all(1) & ",
+        "",
+        f"{PROJECTED}test_a_box_that_the_height_all_but_fills_shows_no_sliver_of_a_vehicle",
+    ),
+    Mutant(
+        "core/projection/exact.py",
+        "inset * max(self.front_inset, self.rear_inset)",
+        "inset * min(self.front_inset, self.rear_inset)",
+        f"{PROJECTED}test_with_the_least_lean_all_walls_just_stand_straight",
+    ),
+    Mutant(
+        "core/projection/height.py",
+        "np.stack([cosine, np.sqrt(1 - cosine**2)], -1)",
+        "np.stack([np.sqrt(1 - cosine**2), cosine], -1)",
+        f"{PROJECTED}test_a_height_shows_by_the_elevations_cotangent_on_the_side_that_points_to_the_camera",
+    ),
+    Mutant(
+        "core/projection/view.py",
+        "return self.ground[:, 2] / focal",
+        "return np.linalg.norm(self.ground, axis=1) / focal",
+        f"{PROJECTED}test_elevation_and_pixel_size",
+    ),
+    Mutant(
+        "detect/tiles.py",
+        "_spans(picture.height, zoom, tile, overlap)",
+        "_spans(picture.height, zoom, tile, 0)",
+        "tests/test_detect.py::test_tiles_cover_everything_and_overlap_enough",
+    ),
+    Mutant(
+        "sources/lens.py",
+        "size[1] / 2 + cy * share)",
+        "size[1] / 2 + cy)",
+        f"{PHOTO}test_dewarp_data_are_of_the_picture_that_the_camera_wrote_axis_by_axis",
+    ),
+    Mutant(
+        "sources/lens.py",
+        "sd = [NOMINAL_SD, ROUNDING_MM / tags.focal_35mm]",
+        "sd = [NOMINAL_SD]",
+        f"{PHOTO}test_how_well_a_focal_length_is_known_follows_from_where_it_is_from",
+    ),
+    Mutant(
+        "system/outputs.py",
+        "if inside(path, other.path) or inside(other.path, path):",
+        "if False:",
+        "tests/test_outputs_guard.py::test_outputs_of_one_command_never_share_a_place",
+    ),
 )
 
 
@@ -138,24 +237,30 @@ def made(mutant: Mutant) -> Iterator[None]:
         mutant.path.write_bytes(before)
 
 
+def exit_code(test: str) -> int:
+    """Of pytest for that test: 0 if it passes, 1 if it fails, 5 if it is not there."""
+    file, _, name = test.partition("::")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", file]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([*command, *(["-k", name] if name else [])], cwd=ROOT, env=environment, capture_output=True)
+    return done.returncode
+
+
 def caught(mutant: Mutant) -> bool:
     """Whether its test fails; the test itself must be there."""
-    file, _, name = mutant.test.partition("::")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", file]
-    command += ["-k", name] if name else []
     with made(mutant):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
-        done = subprocess.run(
-            [*command, *(["-k", name] if name else [])], cwd=ROOT, env=environment, capture_output=True
-        )
-    return done.returncode == 1  # 5: no such test
+        return exit_code(mutant.test) == 1
 
 
 def main() -> None:
-    """Prints each with whether it was noticed; exit code 1 if one was not."""
+    """Prints each with whether it was noticed; exit code 1 if one was not, or if a test fails without any change."""
     survived = 0
     wanted = sys.argv[1:] or [""]
-    for mutant in (each for each in MUTANTS if any(word in each.file for word in wanted)):
+    chosen = [each for each in MUTANTS if any(word in each.file for word in wanted)]
+    for test in dict.fromkeys(mutant.test for mutant in chosen):
+        if exit_code(test):
+            sys.exit(f"{test} fails as the program is, so it would seem to notice anything")
+    for mutant in chosen:
         noticed = caught(mutant)
         survived += not noticed
         print(f"{'caught  ' if noticed else 'SURVIVED'}  {mutant.file}: {mutant.was} -> {mutant.becomes}", flush=True)

@@ -117,10 +117,11 @@ def test_the_pooled_verdict_does_not_depend_on_which_measurement_comes_first():
     unsure, sure = replace(scale(0.100, 0.16), verdict=UNUSABLE), scale(0.101, 0.01)
     odd = replace(scale(0.101, 0.02), tension=2.6, remarks=(remark_on_shape(0.1, 2.6),))
     for pair, word in (((unsure, sure), "fair"), ((odd, sure), "poor")):
-        for first, second in (pair, pair[::-1]):
-            both = together(compare({"oblique": first, "planar": second}))
+        for modes in (("oblique", "planar"), ("planar", "oblique")):
+            named = dict(zip(modes, pair, strict=True))
+            both = together(compare({mode: named[mode] for mode in ("oblique", "planar")}))
             assert both.verdict == word and both.tension == max(one.tension for one in pair)
-            assert both.remarks == pair[0].remarks
+            assert [r.text for r in both.remarks] == [f"{modes[0]}: {r.text}" for r in pair[0].remarks]
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from support.models import make_model, patched, put_frames, save
 
@@ -27,8 +28,6 @@ from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.dense_cloud import DenseCloud
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
-
-pycolmap = pytest.importorskip("pycolmap")
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 

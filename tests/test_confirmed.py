@@ -33,6 +33,17 @@ def test_boxes_of_a_length_that_is_seldom_confirmed_do_not_count(graves, unsure,
     assert seldom[60:].mean() > 0.95 if out else not seldom[60:].any()
 
 
+def test_what_is_confirmed_hardly_less_often_than_the_vehicles_counts():
+    """A quarter where two fifths of the vehicles are: their picture is a hard one."""
+    rng = np.random.default_rng(3)
+    both = Boxes.concatenate([boxes(rng, 60, 50.0), boxes(rng, 20, 24.0)])
+    doubtful = Boxes.concatenate([boxes(rng, 90, 50.0), boxes(rng, 60, 24.0)])
+    assert share_confirmed(np.array([50.0, 24.0]), both.length, np.r_[both.length, doubtful.length]) == pytest.approx(
+        [61 / 152, 21 / 82], abs=0.03
+    )
+    assert not seldom_confirmed(both, doubtful).any()
+
+
 def test_what_nobody_doubts_counts():
     rng = np.random.default_rng(2)
     assert not seldom_confirmed(boxes(rng, 30, 40.0, 0.2), Boxes.empty()).any()

@@ -9,6 +9,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from support.models import make_model, patched, put_frames, save
 from support.other_programs import LENS, bundler, nerfstudio, nvm, opensfm
@@ -17,8 +18,6 @@ from orthoscale.errors import InputError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 from orthoscale.synthetic import make_scene, write_colmap
-
-pycolmap = pytest.importorskip("pycolmap")
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 

@@ -11,7 +11,7 @@ import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring import judgement
 from orthoscale.core.measuring.drift import FEWEST, Drift, drift, with_drift
-from orthoscale.core.measuring.vehicles import vehicle_table
+from orthoscale.core.measuring.vehicles import VEHICLE, vehicle_table
 from orthoscale.core.pooling.posterior import Z90
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
@@ -47,6 +47,19 @@ def test_a_tilt_is_found_with_its_size_and_direction():
     assert "towards the right" in result.remark and "is bent" not in result.remark
     upwards = drift(measured(np.random.default_rng(1), 600, lambda x, y: -0.08 * y), WIDTH, HEIGHT, GSD)
     assert "towards the top" in upwards.remark
+
+
+@pytest.mark.parametrize("along, across", [(0.08, 0.0), (0.0, 0.08), (0.06, 0.06)])
+def test_a_tilt_is_the_change_from_one_end_of_the_picture_to_the_other(along, across):
+    """Along the steepest direction, in a picture that is wider than high."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-0.5, 0.5, (2, 800))
+    table = np.zeros(800, VEHICLE)
+    table["used"], table["scale_deviation"] = True, along * x + across * y + rng.normal(0, 0.003, 800)
+    table["x_unit"], table["y_unit"] = (x + 0.5) * WIDTH, (y + 0.5) * HEIGHT
+    steepest = np.array([along / WIDTH, across / HEIGHT])
+    far = np.abs(steepest / np.linalg.norm(steepest)) @ (WIDTH, HEIGHT)
+    assert drift(table, WIDTH, HEIGHT, GSD).tilt == pytest.approx(np.linalg.norm(steepest) * far, rel=0.05)
 
 
 def test_a_bowl_is_found():

@@ -103,3 +103,10 @@ def test_two_sizes_about_as_likely_are_asked_about_where_there_is_one_scale(riva
     """In frames from nearer and farther, vehicles have several sizes."""
     assert ZoomChoice(1.0, 55.0, 100.0, 31.0, rival, [], one).as_likely == other
     assert ZoomChoice(1.0, 55.0, 100.0, 9.0, 0.6, [], False).as_likely == 9.0
+
+
+def test_things_that_point_every_way_are_no_group_however_alike():
+    i, j = (k.ravel() for k in np.indices((8, 8)))
+    rows = np.column_stack([60 * i, 60 * j, np.full(64, 50.0), np.full(64, 21.0), 0.5 * ((i + 2 * j) % 4)])
+    assert not all_alike(Boxes(rows, np.ones(64))).any()
+    assert all_alike(Boxes(rows * [1, 1, 1, 1, 0], np.ones(64))).all()

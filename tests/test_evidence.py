@@ -4,6 +4,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from orthoscale.core.control import ground_control, known_distance
 from orthoscale.core.evidence import Evidence, combined
@@ -170,6 +171,27 @@ def test_a_known_distance():
     assert known_distance(np.array([[0, 0, 0], [0, 0, 2.0]]), 30.0).relative_sd == pytest.approx(0.01)
     short = known_distance(np.array([[0, 0], [3, 0]]), 0.27, 0.001, read_sd=0.7)
     assert short.relative_sd == pytest.approx(0.7 / 3, rel=0.01), "three pixels are no ruler"
+
+
+def test_two_control_points_are_as_good_as_is_assumed_of_them():
+    """10 m and 100 px apart, so 5 m and 50 px from their middle; one sigma of 0.05 m, and of half a pixel."""
+    pixels, metres = np.array([[0, 0], [60, 80.0]]), np.array([[0, 0], [6, 8.0]])
+    found, exact = (ground_control(pixels, metres, read_sd) for read_sd in (0.5, 0.0))
+    assert found.value == exact.value == pytest.approx(0.1)
+    assert exact.says == "ground control (2 points, taken to be good to 0.05 m)"
+    assert exact.relative_sd == pytest.approx(0.05 / np.sqrt(50))
+    assert found.relative_sd == pytest.approx(np.hypot(0.05 / np.sqrt(50), 0.5 / np.sqrt(5000)))
+
+
+def test_what_control_points_leave_tells_how_good_they_are():
+    """A similarity of the plane has four unknowns; here it is a factor of complex numbers."""
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(0, 1000, (5, 2))
+    metres = pixels @ (0.1 * np.array([[0.6, 0.8], [-0.8, 0.6]])) + rng.normal(0, 2.0, (5, 2))
+    x, y = ((p - p.mean(0)) @ (1, 1j) for p in (pixels, metres))
+    left = y - x * np.vdot(x, y) / np.vdot(x, x)
+    sd = np.sqrt((np.abs(left) ** 2).sum() / (np.abs(y) ** 2).sum() / 6) * t.ppf(0.95, 6) / 1.6449
+    assert ground_control(pixels, metres).relative_sd == pytest.approx(sd, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -113,8 +113,6 @@ def test_boxes_saved_without_their_picture_are_json_that_strict_readers_take(tmp
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])
 def test_what_is_saved_reads_back(source, tmp_path, name):
-    if name.endswith("gpkg"):
-        pytest.importorskip("pyogrio")
     found = Detections({"ortho.tif": BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc")
     save(found, tmp_path / name, source)
     again = load(tmp_path / name, source)
@@ -163,8 +161,6 @@ def test_many_pictures_keep_their_names(tmp_path):
 
     boxes = {"a/1.jpg": BOXES, "a/2.jpg": BOXES[:1], "b/2.png": BOXES[1:]}
     for name in ("d.coco.json", "d.txt", "d.geojson", "d.gpkg"):
-        if name.endswith("gpkg"):
-            pytest.importorskip("pyogrio")
         save(Detections(boxes, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / name, Frames())
         again = load(tmp_path / name, Frames()).boxes
         assert {k: len(v) for k, v in again.items()} == {"a/1.jpg": 3, "a/2.jpg": 1, "b/2.png": 2}
@@ -505,6 +501,7 @@ CORNERS = [float(v) for v in CAR.split()]
     "name, text, message",
     [
         ("d.txt", "1 2 3\n", "line 1 is no box"),
+        ("d.txt", "0 5 5 45 5 45 20 5 20\n", "line 1 is no box"),  # of Ultralytics, but for its pixels
         ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is no box"),
         ("d.txt", f"tokyo 0.9 {CAR}\nparis 0.9 {CAR}\n", "none of its 2 pictures is in .* the first is 'tokyo'"),
         ("d.txt", "tokyo 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes of 'tokyo' lie outside of ortho.tif"),
@@ -522,6 +519,11 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, 3, 4]}], "images": IMAGE}, "no direction"),
         ("d.json", {"annotations": [{"image_id": 2, "bbox": [1] * 5}], "images": IMAGE}, "not among its images"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": {"counts": "ab"}}]}, r"mask \(RLE\)"),
+        (
+            "d.json",
+            {"annotations": [{"image_id": 1, "segmentation": [[1, 2, 3, 4]]}], "images": IMAGE},
+            "fewer than three corners",
+        ),
         ("d.json", {"annotations": [{"segmentation": [CORNERS]}]}, r"annotations\[0\]: image_id is missing"),
         ("d.json", {"annotations": ["box"], "images": IMAGE}, r"annotations\[0\]: expected an object, found text"),
         ("d.json", {"annotations": [], "images": [{"id": 1}]}, r"images\[0\]: file_name is missing"),
@@ -547,8 +549,6 @@ CORNERS = [float(v) for v in CAR.split()]
     ],
 )
 def test_what_fits_no_box_is_refused_in_words(plain, tmp_path, name, text, message):
-    if name.endswith("gpkg"):
-        pytest.importorskip("pyogrio")
     with pytest.raises(InputError, match=message) as refusal:
         load_text(plain, tmp_path, name, text)
     assert name in str(refusal.value), "the message names the file"

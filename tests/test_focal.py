@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pycolmap
 import pytest
 
 from orthoscale.core.boxes import Boxes
@@ -12,8 +13,6 @@ from orthoscale.core.projection.level import level_views, up_from_gimbal
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.focal import SYSTEMATIC, focal_doubt, focal_sd
 from orthoscale.synthetic import make_scene, write_colmap
-
-pycolmap = pytest.importorskip("pycolmap")
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 from support.geometry import dense_workspace
@@ -252,7 +253,6 @@ def test_a_program_that_is_not_there_is_named(bench, hook, missing, arguments):
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed (apt-get install colmap)")
 def test_colmap_itself_reads_the_metric_model(bench):
     """The real program; that it takes the similarity transform is in test_rescale."""
-    pycolmap = pytest.importorskip("pycolmap")
     bench.sparse()
     bench.run("post_sparse.sh", bench.work, *OPTIONS)
     metric, text = bench.work / "sparse_metric", bench.work / "text"
@@ -323,7 +323,6 @@ def test_a_dense_workspace_in_a_folder_whose_name_is_no_pattern(bench):
 
 def test_what_nerfstudio_makes_of_the_metric_model_is_in_metres(bench):
     """A stand-in that writes what the real ns-process-data does; read back, and nothing is scaled twice by hand."""
-    pycolmap = pytest.importorskip("pycolmap")
     bench.sparse()
     code = "import sys, pycolmap; from pathlib import Path; from support.other_programs import process_data; "
     code += "a = sys.argv; model = pycolmap.Reconstruction(a[a.index('--colmap-model-path') + 1]); "
@@ -394,7 +393,6 @@ def hooks(monkeypatch):
 
 
 def test_pycolmap_on_disk_and_in_memory(bench, hooks):
-    pycolmap = pytest.importorskip("pycolmap")
     bench.sparse()
     options = {"fleet": "US", "detections": FOUND, "mode": "planar"}
     assert hooks[0].write_metric(bench.work / "sparse", bench.work / "metric", **options)
@@ -465,7 +463,7 @@ def test_a_kill_leaves_nothing(bench, how):
 
 def test_odm(bench):
     """ODM's reconstruction stands in by the example in OpenSfM's words."""
-    model = pytest.importorskip("pycolmap").Reconstruction(str(EXAMPLE / "sparse"))
+    model = pycolmap.Reconstruction(str(EXAMPLE / "sparse"))
     (camera,) = model.cameras.values()
     side = max(camera.width, camera.height)
     lens = {"projection_type": "simple_radial", "width": camera.width, "height": camera.height}

@@ -14,6 +14,7 @@ from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
 from orthoscale.core.pooling.agreement import Agreement
 from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark
+from orthoscale.core.scale import PER_PIXEL
 from orthoscale.core.verdicts import remark_on_shape
 
 
@@ -113,6 +114,27 @@ def test_a_claim_is_judged_where_it_is_believed(measured, claimed, believed, sev
     claim = Comparison("its georeferencing claims", claimed, measured.scale.value, 0.04, believed)
     found = [j.severity for j in judgements(measured, claim) if "georeferencing" in j.what]
     assert found == ([] if severity is None else [severity])
+
+
+@pytest.mark.parametrize(
+    "truth, guess",
+    [
+        (0.3048, "feet were taken for metres"),
+        (1 / 0.3048, "metres were taken for feet"),
+        (2.0, "the image was halved and its georeferencing was not"),
+        (4.0, "the image was halved twice and its georeferencing was not"),
+        (0.5, "the image was enlarged and its georeferencing was not"),
+        (10.0, "a decimal point is off by one place"),
+        (0.1, "a decimal point is off by one place"),
+        (1.5, None),
+        (1.01, None),
+    ],
+)
+def test_a_mistake_that_explains_a_claim_is_guessed(truth, guess):
+    """A model's coordinates may be of another unit, but were never halved with its pictures."""
+    of_picture, of_model = (Comparison("x", 1.0, 1.02 * truth, 0.02, unit=unit) for unit in (PER_PIXEL, "m/model-unit"))
+    assert of_picture.guesses == ([guess] if guess else [])
+    assert of_model.guesses == (of_picture.guesses if guess and "feet" in guess else [])
 
 
 def of_a_model(measured, percent, chance, odd=()):

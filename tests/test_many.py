@@ -131,6 +131,11 @@ def test_a_summary_leads_to_a_copy_whose_name_is_not_utf_8(tmp_path):
     assert 'href="caf%E9.tif.html"' in (tmp_path / "out.html").read_text()
 
 
+@pytest.mark.parametrize("codes, worst", [((0, 3, 5, 4), 5), ((5, 1, 0), 1), ((0, 0), 0), ((), 0)])
+def test_a_bug_is_worse_than_any_input(codes, worst):
+    assert many.worst([{"exit_code": code} for code in codes]) == worst
+
+
 def test_what_is_named(parks, tmp_path):
     pictures = parks / "pictures"
     assert inputs_of([pictures / "*.png", pictures / "a.png"]) == [pictures / "a.png", pictures / "b.png"]

@@ -24,6 +24,7 @@ from orthoscale.detect.measurer import (
     pixels_per_crop_pixel,
     placed,
 )
+from training.measurer import chain, crops, real
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
 CARD = Path(__file__).parents[1] / "training/measurer/card_m21.json"
@@ -79,7 +80,6 @@ def test_a_crop_shows_the_box_where_the_box_is(length: float, angle: float) -> N
 
 
 def test_edges_lead_back_to_the_box_that_they_are_the_edges_of() -> None:
-    crops = pytest.importorskip("training.measurer.crops")
     rng = np.random.default_rng(0)
     for _ in range(50):
         box = np.array([*rng.uniform(0, 100, 2), rng.uniform(10, 90), rng.uniform(5, 40), rng.uniform(-3, 3)])
@@ -94,13 +94,12 @@ BOX = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
 
 @pytest.fixture(scope="module")
 def pyramid() -> object:
-    return pytest.importorskip("training.measurer.chain").pyramid(drawn(BOX, 461, 455))
+    return chain.pyramid(drawn(BOX, 461, 455))
 
 
 @pytest.mark.parametrize("scale", [0.09, 0.23, 0.5, 0.8, 1.3])
 @pytest.mark.parametrize("fine", [1, 2])
 def test_a_window_has_its_vehicle_where_its_box_says(pyramid: object, scale: float, fine: int) -> None:
-    chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(1)
     box = BOX
     for _ in range(3):
@@ -117,7 +116,6 @@ def test_a_window_has_its_vehicle_where_its_box_says(pyramid: object, scale: flo
 
 
 def test_resampling_moves_the_box_with_the_picture() -> None:
-    chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(2)
     box = np.array([60.2, 58.9, 40.0, 18.0, 0.9])
     picture = drawn(box, 120, 120).astype(np.float32) / 255
@@ -133,9 +131,10 @@ def test_resampling_moves_the_box_with_the_picture() -> None:
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
     torch = pytest.importorskip("torch")
     pytest.importorskip("onnx")
-    network = pytest.importorskip("training.measurer.network")
+    from training.measurer.network import MeasureNet
+
     torch.manual_seed(0)
-    net = network.MeasureNet()
+    net = MeasureNet()
     with torch.no_grad():  # an untrained network answers the same to everything
         for parameter in net.parameters():
             parameter.mul_(1.5)
@@ -263,8 +262,6 @@ def test_what_is_moved_is_less_certain() -> None:
 def test_a_kind_is_shown_from_fine_pictures_though_most_of_it_is_in_coarse_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    crops = pytest.importorskip("training.measurer.crops")
-    real = pytest.importorskip("training.measurer.real")
 
     def patch(length: int, grey: int) -> object:
         box = np.array([1.6 * length, 1.6 * length, length, 0.4 * length, 0.0])
@@ -283,7 +280,6 @@ def test_a_bank_of_which_all_is_held_out_is_refused_at_once(tmp_path: Path) -> N
 
 
 def test_what_a_cover_hides_is_told_and_nothing_else():
-    chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(4)
     ground = np.full((64, 64, 3), 90, np.uint8)
     box = np.array([100.0, 100.0, 60.0, 26.0, 0.4])

@@ -145,3 +145,11 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     larger = if_confirmed(replace(good, larger_share=0.3), believed, doubtful)
     assert (larger.verdict == UNUSABLE) == lowered
     assert [r.severity for r in larger.remarks if "larger than cars" in r.text] == ([REFUSAL] if lowered else [])
+
+
+@pytest.mark.parametrize("turn, agreement", [(0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, -1.0), (np.pi / 8, 0.0)])
+def test_neighbours_agree_where_they_are_parallel_or_across(turn, agreement):
+    k = np.arange(40)
+    rows = np.column_stack([60.0 * k + 20.0 * (k // 2), 0 * k, np.full(40, 45.0), np.full(40, 19.0), turn * (k % 2)])
+    pairs, found = alignment(Boxes(rows, np.ones(40)))
+    assert pairs == 20 and found == pytest.approx(agreement, abs=1e-9)

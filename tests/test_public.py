@@ -11,6 +11,7 @@ from support.photos import CARS, FOCAL, boxes_in, detections_of, view_from, writ
 from support.reports import car_park, fixed, fixed_model
 
 import orthoscale
+from orthoscale.errors import EvidenceDisagrees
 from orthoscale.formats.detections.own import save_detections
 
 
@@ -72,6 +73,8 @@ def test_check_is_public(park):
     shown = str(checked).splitlines()
     assert len(shown) < 10 and shown[0].startswith("claim      disagrees") and "<td>disagrees" in checked._repr_html_()
     assert json.loads(json.dumps(checked.to_dict()))["comparisons"][0]["verdict"] == "disagrees"
+    with pytest.raises(EvidenceDisagrees, match="disagrees: vehicles give 0.1"):
+        checked.require_agreement()
     (park / "park.pgw").unlink()
     (park / "park.png.aux.xml").unlink()
 

@@ -337,6 +337,7 @@ def test_off(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "new"),
     [
+        ("a.xyz", "1 2 3 7,8,9\n", "2 4 6 7,8,9\n"),  # commas within a word part no columns
         ("a.xyz", "1 2 3 255 0 0\n4\t5 6\r\n", "2 4 6 255 0 0\n8 10 12\n"),
         ("a.xyz", "// a, b, c\n1.5,-2,3e1,7\n", "// a, b, c\n3,-4,60,7\n"),
         ("a.xyz", "//R,G,B,X,Y,Z\n9,8,7,1,2,3\n", "//R,G,B,X,Y,Z\n9,8,7,2,4,6\n"),  # CloudCompare's names
@@ -919,7 +920,9 @@ def test_nothing_to_apply_to(tmp_path):
 @pytest.mark.slow
 def test_colmap_takes_one_of_both_similarities(tmp_path):
     """The real program: 3.8 wants the matrix, newer ones the line."""
-    colmap, pycolmap = shutil.which("colmap"), pytest.importorskip("pycolmap")
+    import pycolmap
+
+    colmap = shutil.which("colmap")
     if colmap is None:
         pytest.skip("no colmap on PATH")
     said = subprocess.run(

@@ -69,3 +69,27 @@ def test_views_that_stray_are_of_one_vehicle_unless_a_frame_shows_both():
     assert views(*"abcab") == [[0, 1, 2], [3], [4]]
     assert views(*"abbab") == [[0, 1], [2], [3], [4]], "a frame shows both"
     assert len(gather(size, pixel, place, score, True)) == 4, "where frames are not known"
+
+
+def test_of_three_groups_in_a_row_the_two_that_are_nearest_to_each_other_are_one_vehicle():
+    """0.9 and 0.8 widths apart: the middle one is the nearest to both, but has one nearest itself."""
+    place = 1.8 * np.array([[0.0, 0.0], [0.9, 0.0], [1.7, 0.0]])
+    seen = gather(np.tile([4.5, 1.8], (3, 1)), np.ones(3), place, np.ones(3), True, picture=np.array([*"abc"]))
+    assert sorted(m.tolist() for m in seen.members) == [[0], [1, 2]]
+
+
+def test_a_vote_is_what_its_views_say_together():
+    """Of sizes the middle in logarithms, of noises the root of the mean square, of scores the best."""
+    size, sigma = np.array([[4.0, 1.6], [4.84, 2.5]]), np.array([[0.03, 0.04], [0.05, 0.08]])
+    score, ground = np.array([0.6, 0.9]), np.array([0.01, 0.03])
+    vote = gather(size, np.array([0.1, 0.2]), np.zeros((2, 3)), score, True, sigma, ground=ground)
+    assert vote.size == pytest.approx(np.array([[4.4, 2.0]])) and vote.score.tolist() == [0.9]
+    assert vote.sigma == pytest.approx(np.sqrt([[0.0017, 0.004]]))
+    assert (vote.pixel[0], vote.ground[0], vote.views[0]) == pytest.approx((0.15, 0.02, 2))
+
+
+def test_how_often_vehicles_are_seen_is_that_of_most_boxes():
+    """However many mistakes there are that one frame shows."""
+    which = np.repeat(np.arange(6), [1, 1, 1, 1, 1, 8])
+    votes = gather(np.full((13, 2), 2.0), np.ones(13), 10.0 * which[:, None] * [1.0, 0, 0], np.ones(13), repeated=True)
+    assert votes.fleeting.tolist() == [True] * 5 + [False]

@@ -8,6 +8,7 @@ import sqlite3
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from support.geometry import dense_workspace
 
@@ -21,7 +22,6 @@ from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.system.signatures import FOLDER_MARK
 
-pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 OPTIONS = {"fleet": "US", "detections": EXAMPLE / "detections.json", "mode": "planar"}  # the quickest way
 

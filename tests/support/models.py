@@ -7,9 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
-
-pycolmap = pytest.importorskip("pycolmap")
+import pycolmap
 
 
 def make_model(
