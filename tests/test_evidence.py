@@ -9,8 +9,10 @@ from scipy.stats import t
 from orthoscale.core.control import ground_control, known_distance
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
+from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Z90, Posterior
+from orthoscale.errors import TooLittleEvidence
 from orthoscale.formats.tables import known_objects
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
@@ -98,6 +100,14 @@ def test_of_two_scales_about_as_near_the_sharper_one_is_meant():
     either = Posterior(np.array([0.5, 0.5]), np.log([0.1, 0.1]) + 0.03, np.array([0.01, 0.2]))
     bays = Evidence.mixed("bays", either, ["sharp", "vague"])
     assert bays.meant(VEHICLES).says == "sharp"
+
+
+def test_without_vehicles_two_pieces_of_one_kind_are_too_little():
+    two = [Evidence("tape", 0.1, 0.01, f"tape {k}") for k in "ab"]
+    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: tape a, tape b"):
+        measured_without_vehicles(two, "m/px", "DE", 2, {})
+    court = Evidence("court", 0.1, 0.01, "a court")
+    assert measured_without_vehicles([two[0], court], "m/px", "DE", 2, {}).scale.value == pytest.approx(0.1)
 
 
 def test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty():

@@ -270,3 +270,11 @@ def test_parts_of_a_country_have_its_vehicles_in_other_shares():
     kei = [min(load_fleet(code).classes, key=lambda c: c.mean[0]).weight for code in ("Tokyo", "Japan", "Okinawa")]
     assert kei == sorted(kei)
     assert load_fleet("Bangkok").mean[0] == pytest.approx(load_fleet("TH").mean[0] - 0.12, abs=0.02)
+
+
+def test_errors_of_a_countrys_mean_length_and_width_go_together():
+    fleet = load_fleet("DE")
+    known, sure = (f.log_mean_covariance for f in (fleet, replace(fleet, mean_sd=np.zeros(3))))
+    of_mean = known - sure
+    sd = np.sqrt(np.diag(of_mean))
+    assert sd == pytest.approx((fleet.mean_sd / fleet.mean)[:2]) and of_mean[0, 1] == pytest.approx(0.85 * sd.prod())

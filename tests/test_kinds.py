@@ -147,6 +147,7 @@ def test_how_far_kinds_tell_the_country():
         assert int(np.argmax(each)) == {0.03: 1, 0.2: 0, 0.45: 2}[pickups]
     ratio = [of(n, 0.2)[0] / of(n, 0.2)[1] for n in (10, 100, 1000)]
     assert ratio[0] < ratio[1] < ratio[2] < 1.5 * ratio[1] < 30
+    assert min(of(1000, 0.6)) > 0.099, "one place in ten, a depot say, tells nothing"
     assert np.allclose(country_likelihoods(np.zeros((5, 4)), fleets, prior, confusion), 1)
 
 
