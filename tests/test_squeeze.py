@@ -42,6 +42,13 @@ def test_the_squeeze_of_vehicles_at_headings_along_the_axes_is_exact(aspect):
         assert abs(found.log_aspect - np.log(aspect)) < 3 * own and own < 0.02
 
 
+@pytest.mark.parametrize("aspect, known", [(0.7, 1.0), (1.4, 1.0), (0.5, 0.5), (2.0, 2.0), (0.55, 0.5)])
+def test_the_squeeze_of_vehicles_at_any_heading(aspect, known):
+    """A box is the smallest rectangle around what the squeeze made of a vehicle: a parallelogram."""
+    found = np.mean([squeeze(boxes_in(aspect, 400, seed), known).log_aspect for seed in range(5)])
+    assert abs(found - np.log(aspect / known)) < 0.03 * abs(np.log(aspect)) + 0.006
+
+
 def test_chance_is_as_large_as_it_says():
     found = [squeeze(boxes_in(1.0, 60, seed)) for seed in range(100)]
     sigmas = [one.log_aspect / np.sqrt(one.sd**2 - OF_SQUARE**2) for one in found]
