@@ -129,6 +129,13 @@ def test_what_the_points_alone_say_has_the_grounds_error(level, tmp_path):
     assert read_distance(f"{' '.join(places)} 20 0.1", level.source).common == 0, "on no ground"
 
 
+def test_a_distance_in_one_picture_has_all_of_the_grounds_error_however_low_it_lies(level):
+    lower = Footing(np.zeros((1, 3)), np.array([0.2]), np.array([0.0]), GROUND_SD)
+    found = read_distance(level.distance(), level.source, lower)
+    assert found.common == pytest.approx(GROUND_SD, rel=1e-6)
+    assert found.value == pytest.approx(UNIT / 1.2, rel=0.002), "all rays go a fifth further"
+
+
 def test_a_distance_is_on_the_ground_on_which_the_vehicles_stand(under_crowns):
     assert not holds(read_distance(under_crowns.distance(), under_crowns.source))
     assert holds(read_distance(under_crowns.distance(), under_crowns.source, under_crowns.footing))

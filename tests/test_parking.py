@@ -54,6 +54,15 @@ def test_the_pitch_gives_the_scale(pitch, country, dims):
     assert 0.05 < found.relative_sd < 0.09
 
 
+def test_the_pitch_is_known_as_well_as_rows_agree_on_it():
+    found = [
+        parking.parking_pitch(*car_park(np.random.default_rng(seed), 2.5, rows=8), STALLS, "DE") for seed in range(40)
+    ]
+    errors = [np.log(one.units * GSD / 2.5) for one in found]
+    claimed = np.sqrt(np.mean([one.relative_sd**2 for one in found]))
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) / claimed < 1.2
+
+
 def test_vehicles_without_rows_have_no_pitch():
     rng = np.random.default_rng(1)
     _, along, size = car_park(rng)
