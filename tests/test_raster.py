@@ -35,6 +35,7 @@ from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import gdal
 from orthoscale.sources.georeference import claim_of
+from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.raster_copy import Original
 from orthoscale.system import scratch
@@ -1235,3 +1236,9 @@ def test_ground_control_that_is_no_number_is_not_believed(tmp_path):
     path = make(tmp_path / "a.tif", prepare=lambda dataset: setattr(dataset, "gcps", (points, CRS.from_epsg(32632))))
     with RasterSource.open(path) as source:
         assert not source.claimed.usable and "not all of them finite" in source.claimed.why
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "odd.txt")
+    with pytest.raises(InputError, match="a pipe or a device"):
+        open_source(tmp_path / "odd.txt")

@@ -76,6 +76,8 @@ def check_regular(path: Path, hint: str = "") -> None:
 
 def refuse_pointer(path: Path) -> None:
     """Raise InputError where Git LFS left a few lines instead of the file `path`; other files are for their readers."""
+    if not path.is_file():
+        return  # opening a pipe would wait for its other end
     try:
         with path.open("rb") as file:
             pointer = file.read(len(LFS_POINTER)) == LFS_POINTER

@@ -10,7 +10,7 @@ from ..core.remarks import CAUTION, Remark
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..formats.geometry.text_models import SUFFIXES
-from ..formats.reading import refuse_pointer
+from ..formats.reading import check_regular, refuse_pointer
 from .colmap_tables import FILE_NAMES
 from .exchange_files import find_exchange
 
@@ -54,6 +54,7 @@ def open_source(
         raise InputError(f"{path} is one file of a COLMAP model", f"Give the folder that holds them all: {path.parent}")
     if images is not None:
         raise UsageError("--images is for COLMAP models", f"{path} is a file: remove --images.")
+    check_regular(path, "Give an orthophoto, or the folder of a COLMAP model.")
     refuse_pointer(path)
     from .raster import RasterSource
 
