@@ -82,7 +82,7 @@ def _modes(measured: Measurement) -> Judgement | None:
 
 def _evidence(measured: Measurement) -> Judgement | None:
     scale = measured.scale
-    if scale.conflict and scale.evidence:
+    if scale.support.conflicts:
         return Judgement(REFUSAL, "Other evidence contradicts", "; ".join(scale.support.conflicts))
     if not (compared := scale.support.compared):
         return None

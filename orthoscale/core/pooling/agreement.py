@@ -172,8 +172,7 @@ def together(agreement: Agreement) -> Scale:
 
 def _named(scales: dict[str, Scale], name: str) -> tuple[Remark, ...]:
     """The remarks on the scale `name`, with this name before what is not remarked on all `scales`."""
-    shared = [remark for remark in scales[name].remarks if all(remark in scale.remarks for scale in scales.values())]
     return tuple(
-        remark if remark in shared else replace(remark, text=f"{name}: {remark.text}")
+        remark if all(remark in s.remarks for s in scales.values()) else replace(remark, text=f"{name}: {remark.text}")
         for remark in scales[name].remarks
     )
