@@ -322,7 +322,8 @@ class EstimateRequest(VehicleRequest):
         Path,
         "Evidence",
         "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance. A model wants UP where "
-        "the ground is not level; an orthophoto's distances are horizontal.",
+        "the ground is not level; an orthophoto's distances are horizontal. Or, for a model, OpenDroneMap's "
+        "gcp_list.txt.",
         metavar="FILE",
     )
     gps: bool = option(

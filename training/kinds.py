@@ -1,11 +1,13 @@
 r"""Kinds of vehicles told by eye: car, pickup, van, larger.
 
     python -m training.kinds sheets --labels ../shared/data/vehicles/labels.json --count 800 --out runs/kinds
+    python -m training.kinds sheets --labels ../shared/data/vehicles/chips --likely 0.15 --out runs/rare
     python -m training.kinds sheets --found manila=../shared/data/orthophotos/manila.tif:BOXES.json --out runs/manila
     python -m training.kinds keep runs/kinds ANSWERS.json [ANSWERS.json ...] --data ../shared/data
     python -m training.kinds agreement runs/kinds ANSWERS.json ANSWERS.json    # of two readers of the same sheets
 
-`sheets` draws vehicles as `training.by_hand` does, smaller and without rulers. ANSWERS.json has a line of letters for
+`sheets` draws vehicles as `training.by_hand` does, smaller and without rulers; with `--likely`,
+only those that may be pickups or vans, of which there are few among all. ANSWERS.json has a line of letters for
 each row of a sheet, ``{"SHEET": ["ccpcvccc", ...], ...}``; `READING` says which, and is written beside the sheets.
 `keep` adds to labels/kinds.json what all readers of a vehicle say alike; of a vehicle that they differ about, or that
 one cannot tell, nothing is kept.
@@ -15,13 +17,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from orthoscale.core.boxes import KINDS
-from orthoscale.detect.measurer import ANSWERS
+from orthoscale.core.boxes import KINDS, Boxes
+from orthoscale.detect.measurer import ANSWERS, Measurer
 
 from .by_hand import (
     Cell,
@@ -42,6 +45,7 @@ SHARE = 0.5  # of the cells that edges are read in
 COLUMNS, ROWS = 6, 8
 PER_SHEET = COLUMNS * ROWS
 SMALLEST = 12.0  # vehicles shorter than this are not drawn [px of the picture]
+RARE = [ANSWERS.index(kind) for kind in ("pickup", "van")]
 LETTERS = dict(zip("cpvln", ANSWERS, strict=True))
 READING = f"""Which kind of vehicle stands in each cell of sheet_00.png, sheet_01.png, ...
 
@@ -65,6 +69,19 @@ n  no vehicle, or not a motor vehicle of four wheels (motorcycle, three-wheeler,
 Judge each cell for itself. Do not expect any share of the kinds: in some towns nearly all are cars, in others half are
 pickups. Crop and magnify a cell when in doubt.
 """
+
+
+def likely_rare(
+    pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], measurer: Measurer, least: float
+) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
+    """The pictures, as `by_hand.choose` takes them, with those vehicles alone of whose kind the measurer gives at
+    least so much to RARE."""
+    for scene, file, boxes, size in pictures:
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if image is None:
+            raise ValueError(f"{file}: not an image that OpenCV can read")
+        told = measurer.in_pixels(image[..., ::-1], Boxes(boxes, np.ones(len(boxes))))
+        yield scene, file, boxes[told.kind[:, RARE].sum(1) >= least], size
 
 
 def draw_sheets(folder: Path, cells: Sequence[Cell]) -> None:
@@ -106,16 +123,24 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     sheets = commands.add_parser("sheets", help="draw vehicles")
     sheet_options(sheets, SMALLEST, 200)
+    sheets.add_argument("--likely", type=float, help="only what is a pickup or van with at least this probability")
+    sheets.add_argument("--measurer", type=Path, help="ONNX file that tells it (the shipped one)")
     keep = commands.add_parser("keep", help="add to --to what was told")
     agreement = commands.add_parser("agreement", help="how often readers say the same")
     for command in (keep, agreement):
         command.add_argument("folder", type=Path, help="of the sheets")
         command.add_argument("answers", type=Path, nargs="+", help='JSON: {sheet: ["ccpcvccc", ...]}')
     keep.add_argument("--data", type=Path, required=True, help="folder from which on pictures are named")
-    keep.add_argument("--to", type=Path, default=LABELS, help="(%(default)s)")
+    for command, what in ((sheets, "what was read before, not to be drawn again"), (keep, "what to add to")):
+        command.add_argument("--to", type=Path, default=LABELS, help=f"{what} (%(default)s)")
     options = parser.parse_args()
     if options.command == "sheets":
-        draw_sheets(options.out, choose(pictures_of(options), options.count, options.seed, options.smallest))
+        pictures = pictures_of(options)
+        if options.likely is not None:
+            pictures = likely_rare(pictures, Measurer(options.measurer), options.likely)
+        # What was read before is not read again.
+        before = [{**vehicle, "read": vehicle["box"]} for vehicle in load_kept(options.to)["vehicles"]]
+        draw_sheets(options.out, choose(pictures, options.count, options.seed, options.smallest, before))
         return
     cells = read_sheets(options.folder)
     readers = [read_answers(file, len(cells)) for file in options.answers]

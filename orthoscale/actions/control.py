@@ -4,29 +4,42 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..core.control import LEVEL_SD, ground_control, ground_shares, known_distance, on_ground
+from ..core.control import (
+    LEVEL_SD,
+    READING_SD,
+    ground_control,
+    ground_shares,
+    known_distance,
+    meeting_point,
+    missed_by,
+    on_ground,
+    widest_angle,
+)
 from ..core.evidence import Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.source import Source
 from ..errors import InputError, UsageError, shown
+from ..formats.control_points import CONTROL_HINT, in_line, read_control_file
 from ..formats.points import number
-from ..formats.reading import read_text, reason
+from ..formats.reading import reason
 
 DISTANCE_HINT = (
     "Expected two points, the metres between them and, if known, their sigma: '120,80 560,80 23.77 0.05'. "
     "A point is X,Y (pixels of an orthophoto), X,Y,Z (a model's own coordinates), id:123 (a 3D point of the model) "
     "or NAME@X,Y (a pixel on the ground in one of its frames)."
 )
-CONTROL_HINT = (
-    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
-    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
-    "is not level). Lines from # on do not count."
-)
+# Rays to one point that differ by less do not tell how far it is better than the ground does, which is known to 1 % of
+# the cameras' height: pixels are read to half of one, and poses are no better.
+PARALLAX = math.radians(3)
+# [px] A mark that lies farther than that from where the rays of a point meet is on another point: poses and people err
+# by some pixels at most.
+MISSED = 20.0
 
 
 def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Evidence:
@@ -48,63 +61,106 @@ def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Ev
 
 
 def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Evidence:
-    """Ground control from the file at `path`, its points in `source`, whose ground is that of `footing`. Raises
-    InputError, UsageError.
+    """Ground control from the file at `path` (`read_control_file`), its points in `source`, whose ground is that of
+    `footing`. Raises InputError, UsageError.
 
     Distances are compared that both sides have: in an orthophoto they are horizontal, whatever UP says; in a model they
     are those in space, or without UP horizontal ones. What is level there is not known: the ground's plane stands for
-    it.
+    it. A point that several pictures show lies where their rays meet, one that a single picture shows on the ground.
     """
-    points: list[_ControlPoint] = []
-    metres: list[list[float]] = []
+    file = read_control_file(path)
+    if file.of_project and source.posed is None:
+        raise UsageError(
+            f"{path}: it marks points in a project's pictures, and {source.path} is an orthophoto",
+            "Give lines X,Y EAST NORTH, X,Y pixels of the orthophoto.",
+        )
+    points: list[_Located] = []
+    metres: list[tuple[float, ...]] = []
     level_sd, dims = 0.0, 3 if source.plan is None else 2
-    for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            name, *words = shlex.split(line)
-            if len(words) not in (2, 3):
-                raise ValueError(f"{len(words)} coordinates in metres")
-            point, known = _located(name, source, footing), [number(word) for word in words][:dims]
+    for control in file.points:
+        with in_line(path, control.row):
+            marks = _in_model(control.marks, source) if file.of_project else control.marks
+            if not marks:
+                continue
+            point, known = _control_point(marks, source, footing), control.metres[:dims]
             if metres and len(known) != len(metres[0]):
-                raise ValueError(f"{len(words)} coordinates in metres, but {len(metres[0])} above")
+                raise ValueError(f"{len(control.metres)} coordinates in metres, but {len(metres[0])} above")
             if len(known) == 2 and source.posed is not None:
                 point, level_sd = point.from_above(source.posed), LEVEL_SD
             points.append(point)
             metres.append(known)
-        except (ValueError, OverflowError) as error:
-            raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
+    how = []
+    if met := sum(point.met for point in points):
+        how.append(f"{met} of them where rays meet")
+    if left_out := len(file.points) - len(points):
+        how.append(f"{left_out} more in no picture of the model")
     try:
         place, read_sd = np.array([point.place for point in points]), np.array([point.read_sd for point in points])
-        return _with_ground(ground_control(place, np.array(metres), read_sd, level_sd), points, footing)
+        return _with_ground(ground_control(place, np.array(metres), read_sd, level_sd, how), points, footing)
     except ValueError as error:
-        raise InputError(f"{path}: {error}", CONTROL_HINT) from error
+        raise InputError(f"{path}: {reason(error)}", CONTROL_HINT) from error
+
+
+def _in_model(marks: Sequence[str], source: Source) -> tuple[str, ...]:
+    """Those of a project's `marks` that are in pictures of the model, by its names for them: those may have folders."""
+    named: dict[str, list[str]] = {}
+    for name in source.picture_names:
+        named.setdefault(Path(name).name, []).append(name)
+    found: list[str] = []
+    for mark in marks:
+        picture, _, place = mark.rpartition("@")
+        names = named.get(Path(picture).name, [])
+        if len(names) > 1:
+            names = [name for name in names if name == picture]
+        found.extend(f"{name}@{place}" for name in names)
+    return tuple(found)
 
 
 @dataclass(frozen=True)
-class _ControlPoint:
+class _Located:
     """A point of a source. place, ray : (D,) where it lies, and `core.source.Source.ray` to it [units]. read_sd : one
-    sigma of how well it is read [units]. seen : (D,) its place where it was seen [units, world]."""
+    sigma of how well it is read [units]. seen : (D,) its place where it was seen [units, world]. met : it lies where
+    several rays meet, on whatever ground."""
 
     place: np.ndarray
     ray: np.ndarray
     read_sd: float
     seen: np.ndarray
+    met: bool = False
 
-    def from_above(self, source: Source) -> _ControlPoint:
+    def from_above(self, source: Source) -> _Located:
         """The same on the plan of `source`."""
         near, far = source.from_above(np.array([self.place - self.ray, self.place]))
         return replace(self, place=far, ray=far - near)
 
 
-def _located(word: str, source: Source, footing: Footing) -> _ControlPoint:
+def _located(word: str, source: Source, footing: Footing) -> _Located:
     """The point of `source` that a user calls `word`, on the ground of `footing` if it was seen on a ground."""
     seen, ray = source.locate(word), source.ray(word)
     lower = float(footing.at(seen[None])[0][0]) if ray.any() else 0.0
-    return _ControlPoint(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
+    return _Located(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
 
 
-def _with_ground(found: Evidence, points: list[_ControlPoint], footing: Footing) -> Evidence:
+def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _Located:
+    """The point of `source` that `marks` mean together: where their rays meet if they are of cameras that stand apart,
+    else what the first of them means. Raises ValueError where they do not meet."""
+    if len(marks) > 1 and source.posed is not None:
+        rays = np.array([source.ray(mark) for mark in marks])
+        centres = np.array([source.locate(mark) for mark in marks]) - rays
+        sds = np.array([source.reading_sd(mark) for mark in marks])
+        if widest_angle(rays) >= PARALLAX:
+            place, sd = meeting_point(centres, rays, sds)
+            if (missed := missed_by(place, centres, rays) / sds * READING_SD).max() > MISSED:
+                worst = int(np.argmax(missed))
+                raise ValueError(
+                    f"the rays of its {len(marks)} marks do not meet: {marks[worst]} lies {missed[worst]:.0f} px from "
+                    "where they nearly do; one is on another point"
+                )
+            return _Located(place, np.zeros(3), sd, place, met=True)
+    return _located(marks[0], source, footing)
+
+
+def _with_ground(found: Evidence, points: list[_Located], footing: Footing) -> Evidence:
     """What `points` gave, with the error of the ground on which they were seen."""
     rays = np.array([point.ray for point in points])
     if not rays.any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import stdtrit
 
@@ -39,12 +41,17 @@ def known_distance(
 
 
 def ground_control(
-    units: np.ndarray, metres: np.ndarray, read_sd: float | np.ndarray = 0.0, level_sd: float = 0.0
+    units: np.ndarray,
+    metres: np.ndarray,
+    read_sd: float | np.ndarray = 0.0,
+    level_sd: float = 0.0,
+    how: Sequence[str] = (),
 ) -> Evidence:
     """Points (N, D) [units] and the same points (N, D) [m], N >= 2: the scale of the similarity transform between them
     (ratio of their spreads about the centroid, Horn 1987). Their axes may have any direction, and be mirrored. read_sd
     : one sigma of how well each point can be read along a line [units], one number or (N,). level_sd : where `units`
-    lie in a ground that is taken for level, relative one sigma of all their distances. Raises ValueError.
+    lie in a ground that is taken for level, relative one sigma of all their distances. how : what else is said of them.
+    Raises ValueError.
 
     What the points leave of the transform holds all their errors, those of reading too. Few points tell its size badly:
     the sigma is that whose 90 % interval is the one of Student's t. But a small rest may be luck, and two points leave
@@ -58,7 +65,7 @@ def ground_control(
         raise ValueError("the points must differ from one another")
     reading = float(np.linalg.norm(np.linalg.norm(first, axis=1) * read_sd)) / spread[0] ** 2
     sd = float(np.hypot(CONTROL_SD / spread[1], reading))
-    says = [f"{len(units)} points"]
+    says = [f"{len(units)} points", *how]
     dims = units.shape[1]
     freedom = dims * len(units) - dims - dims * (dims - 1) // 2 - 1  # what shift, rotation and scale leave
     if freedom > 0:
@@ -71,6 +78,33 @@ def ground_control(
         says.append("the ground taken for level")
     sd = float(np.hypot(sd, level_sd))
     return Evidence(BY_CONTROL, spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
+
+
+def meeting_point(centres: np.ndarray, rays: np.ndarray, sds: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where rays (N, 3) from cameras at `centres` (N, 3) meet, N >= 2, as nearly as they do: (3,), and one sigma of it
+    along a line, on average over all directions.
+
+    The sum of the squares of its distances from the rays is least, each by its own sigma, `sds` (N,) of how well the
+    ray is read across it; all in the same units. Rays must not be parallel.
+    """
+    along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    across = (np.eye(3) - along[:, :, None] * along[:, None, :]) / sds[:, None, None] ** 2
+    covariance = np.linalg.inv(across.sum(0))
+    place = covariance @ (across @ centres[:, :, None]).sum(0)[:, 0]
+    return place, float(np.sqrt(np.trace(covariance) / 3))
+
+
+def missed_by(place: np.ndarray, centres: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """(N,) how far rays (N, 3) from `centres` (N, 3) pass by a place (3,), in its units."""
+    along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    off = place - centres
+    return np.asarray(np.linalg.norm(off - (off * along).sum(1, keepdims=True) * along, axis=1))
+
+
+def widest_angle(rays: np.ndarray) -> float:
+    """The greatest angle between any two of `rays` (N, 3) [rad]; 0 for one."""
+    along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(along @ along.T, -1, 1)).max())
 
 
 def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:

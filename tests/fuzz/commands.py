@@ -152,6 +152,12 @@ def model_detections(bench: Bench, rng: Rng) -> Attempt:
     return Attempt(_measure(rng))
 
 
+def marks(bench: Bench, rng: Rng) -> Attempt:
+    """Ground control marked in a model's pictures."""
+    harm(bench.take("colmap-bin") / "gcp_list.txt", rng, damage.text)
+    return Attempt((*_measure(rng), "--ground-control", "in/gcp_list.txt"))
+
+
 def settings(bench: Bench, rng: Rng) -> Attempt:
     """Fleets, calibrations, similarities, catalogues, lenses, known points."""
     ask = ("estimate", "in/ortho.tif", "--detections", "in/boxes.json", "--json")
@@ -598,6 +604,7 @@ CLASSES: dict[str, tuple[Callable[[Bench, Rng], Attempt], int]] = {
     "OpenSfM, nerfstudio, Bundler, NVM": (other_models, 1200),
     "detection files": (detections, 1200),
     "detections of frames": (model_detections, 250),
+    "marks in pictures": (marks, 150),
     "fleets, calibrations, lenses, ...": (settings, 1200),
     "reports, lots": (documents, 500),
     "rasters damaged": (rasters, 800),

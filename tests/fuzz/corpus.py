@@ -21,7 +21,7 @@ import rasterio
 import rasterio.shutil
 from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
-from support import flights, geometry, in_process, lots, networks, photos
+from support import control, flights, geometry, in_process, lots, networks, photos
 from support import other_programs as others
 from support.models import make_model, put_frames, save
 
@@ -77,6 +77,7 @@ def _colmap(form: str, rig: bool = False) -> Callable[[Path], None]:
         save(model, folder / "sparse/0", form)
         put_frames(model, folder / "images")
         _found(folder, turn)
+        control.marked(folder / "gcp_list.txt", open_source(folder), turn)
 
     return make
 

@@ -1,0 +1,118 @@
+"""Ground control files: one point a line, or OpenDroneMap's list of marks in pictures (``gcp_list.txt``)."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..errors import InputError, shown
+from .points import number
+from .reading import read_text, reason
+
+CONTROL_HINT = (
+    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
+    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
+    "is not level). Lines from # on do not count. Or OpenDroneMap's gcp_list.txt."
+)
+EARTH = "EPSG:4978"  # metres from the Earth's centre, along axes of no map
+UTM = re.compile(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
+SYSTEM = re.compile(rf"\s*({UTM.pattern}|EPSG:\d+|.*\+proj=.*)\s*", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A point that is known in metres.
+
+    row : its (first) line in the file. metres : 2 or 3 coordinates, along axes of any direction. marks : what it is
+    called in the source, of which a picture's pixel is ``NAME@X,Y``; several, if several pictures were marked.
+    """
+
+    row: int
+    metres: tuple[float, ...]
+    marks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ControlFile:
+    """points : in the file's order. of_project : the marks are those of a project's pictures, by their files' names:
+    not all of them need be in a model."""
+
+    points: tuple[ControlPoint, ...]
+    of_project: bool = False
+
+
+def read_control_file(path: Path) -> ControlFile:
+    """The points of a ground control file; marks of one point in several pictures, lines of equal metres, are joined.
+    Raises InputError.
+
+    A first line that names a coordinate reference system makes it OpenDroneMap's: ``EPSG:32632``, ``WGS84 UTM 32N`` or
+    a PROJ string, then lines ``X Y Z COLUMN ROW PICTURE [NAME ...]``. Their metres are geocentric (`EARTH`), so that
+    distances are those in space, whatever the map's units and its scale at that place.
+    """
+    lines = [
+        (row, line.strip())
+        for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if lines and SYSTEM.fullmatch(lines[0][1]):
+        return ControlFile(_joined(_of_project(path, lines[0], lines[1:])), of_project=True)
+    return ControlFile(_joined(_of_points(path, lines)))
+
+
+@contextmanager
+def in_line(path: Path, row: int) -> Iterator[None]:
+    """What is wrong with the line `row` of a ground control file becomes an InputError that says so."""
+    try:
+        yield
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
+
+
+def _of_points(path: Path, lines: Iterable[tuple[int, str]]) -> Iterator[ControlPoint]:
+    """Of lines ``POINT EAST NORTH [UP]``."""
+    for row, line in lines:
+        with in_line(path, row):
+            name, *words = shlex.split(line)
+            if len(words) not in (2, 3):
+                raise ValueError(f"{len(words)} coordinates in metres")
+            yield ControlPoint(row, tuple(number(word) for word in words), (name,))
+
+
+def _of_project(path: Path, head: tuple[int, str], lines: Iterable[tuple[int, str]]) -> Iterator[ControlPoint]:
+    """Of lines ``X Y Z COLUMN ROW PICTURE [NAME ...]`` in the coordinate reference system that `head` names."""
+    import pyproj
+
+    row, name = head
+    try:
+        utm = UTM.fullmatch(name)
+        zone = f"+proj=utm +zone={utm[1]} +datum=WGS84{' +south' * (utm[2] in 'Ss')}" if utm else name.strip("'\"")
+        to_earth = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(zone).to_3d(), EARTH, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise InputError(
+            f"{path}, line {row}: {shown(name)!r} is no coordinate reference system on Earth", CONTROL_HINT
+        ) from error
+    for row, line in lines:
+        with in_line(path, row):
+            words = line.split()
+            if len(words) < 6:
+                raise ValueError(f"{len(words)} words, where X Y Z COLUMN ROW PICTURE are six")
+            x, y, z = map(number, words[:3])
+            place = to_earth.transform(x, y, z)
+            if not all(map(math.isfinite, place)):
+                raise ValueError(f"{' '.join(words[:3])} is no place in {name}")
+            yield ControlPoint(row, place, (f"{words[5]}@{words[3]},{words[4]}",))
+
+
+def _joined(points: Iterable[ControlPoint]) -> tuple[ControlPoint, ...]:
+    """The points, of those that are marked in pictures one for each place in metres."""
+    joined: dict[object, ControlPoint] = {}
+    for point in points:
+        key = point.metres if "@" in point.marks[0] else point
+        before = joined.get(key)
+        joined[key] = point if before is None else replace(before, marks=before.marks + point.marks)
+    return tuple(joined.values())

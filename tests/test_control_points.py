@@ -1,0 +1,141 @@
+"""Ground control marked in several pictures: OpenDroneMap's gcp_list.txt, and where rays meet."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.control import PLACES, marked, shows
+from support.flights import UNIT
+
+from orthoscale.actions.control import read_control
+from orthoscale.core.control import meeting_point, widest_angle
+from orthoscale.errors import InputError, UsageError
+from orthoscale.formats.control_points import read_control_file
+from orthoscale.sources.opening import open_source
+
+TOWN = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
+FEET = "+proj=tmerc +lat_0=48 +lon_0=9 +ellps=GRS80 +units=us-ft"
+SYSTEMS = {
+    "EPSG:32632": "EPSG:32632",
+    "WGS84 UTM 32N": "EPSG:32632",
+    "wgs84 utm 32n": "EPSG:32632",
+    "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs": "EPSG:32632",
+    "EPSG:4326": "EPSG:4326",
+    "EPSG:3857": "EPSG:3857",  # a metre of it is 0.66 m here
+    FEET: FEET,
+}
+
+
+@pytest.mark.parametrize("header", SYSTEMS)
+def test_marks_in_many_pictures_give_the_scale_in_space_whatever_the_map(flight, tmp_path, header):
+    source = open_source(flight[0])
+    found = read_control(marked(tmp_path / "gcp_list.txt", source, flight[1], header, SYSTEMS[header]), source)
+    assert found.value == pytest.approx(UNIT, rel=2e-5)
+    assert found.says == "ground control (4 points, 4 of them where rays meet)"
+    assert 0.0005 < found.relative_sd < 0.002  # points good to 0.05 m, some 30 m from their middle
+
+
+def test_in_one_picture_they_lie_on_the_ground(flight, tmp_path):
+    """Its error is known, and stated: roofs of 12 m are drawn outwards where cameras fly at 60 m."""
+    source = open_source(flight[0])
+    best = max(source.picture_names, key=lambda n: sum(shows(source, n, p) for p in PLACES @ flight[1].T))
+    found = read_control(marked(tmp_path / "gcp_list.txt", source, flight[1], pictures=[best]), source)
+    assert "where rays meet" not in found.says
+    assert abs(found.value / UNIT - 1) > 0.02
+
+
+def test_a_mark_on_another_point_is_refused_and_named(flight, tmp_path):
+    source = open_source(flight[0])
+    path = marked(tmp_path / "gcp_list.txt", source, flight[1])
+    lines = path.read_text().splitlines()
+    words = lines[4].split()
+    words[3] = str(float(words[3]) - 60)
+    path.write_text("\n".join([*lines[:4], " ".join(words), *lines[5:]]))
+    mark = f"{words[5]}@{words[3]},{words[4]}"
+    with pytest.raises(InputError, match=rf"line 4: the rays of its \d marks do not meet: {mark} lies \d\d px from"):
+        read_control(path, source)
+
+
+def test_pictures_that_the_model_lacks_are_left_out_and_points_without_any_are_told(flight, tmp_path):
+    source = open_source(flight[0])
+    path = marked(tmp_path / "gcp_list.txt", source, flight[1])
+    whole = read_control(path, source)
+    text = path.read_text()
+    known = text.splitlines()[3].split()
+    more = " ".join([*known[:5], "lost.jpg"])
+    elsewhere = " ".join([known[0], known[1], "999", "10", "10", "lost.jpg"])
+    path.write_text(f"{text}\n{more}\n{elsewhere}\n")
+    found = read_control(path, source)
+    assert found.value == whole.value
+    assert found.says == "ground control (4 points, 4 of them where rays meet, 1 more in no picture of the model)"
+
+
+def test_pictures_are_found_by_their_files_names(flight, tmp_path):
+    source = open_source(flight[0])
+    found = read_control(marked(tmp_path / "g.txt", source, flight[1], named="/home/me/images/{}".format), source)
+    assert found.value == pytest.approx(UNIT, rel=2e-5)
+
+
+def test_lines_of_the_same_metres_are_one_point_in_the_plain_form_too(flight, tmp_path):
+    source = open_source(flight[0])
+    path = tmp_path / "control.txt"
+    lines = [
+        f"{name}@{column},{row} {' '.join(map(str, known))}"
+        for place, known in zip(PLACES, UNIT * PLACES, strict=True)
+        for name in source.picture_names
+        if shows(source, name, place @ flight[1].T)
+        for column, row in source.project(name, place[None] @ flight[1].T)
+    ]
+    path.write_text("\n".join(lines))
+    found = read_control(path, source)
+    assert found.value == pytest.approx(UNIT, rel=2e-5) and "4 of them where rays meet" in found.says
+    assert len(lines) > 2 * len(read_control_file(path).points)
+
+
+def test_an_orthophoto_shows_no_project_of_pictures(flight, tmp_path):
+    path = marked(tmp_path / "gcp_list.txt", open_source(flight[0]), flight[1])
+    with pytest.raises(UsageError, match="it marks points in a project's pictures, and .* an orthophoto"):
+        read_control(path, open_source(TOWN))
+
+
+GOOD = "500000 5390000 300 10 20 a.jpg"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("EPSG:999999\n" + GOOD, "line 1: 'EPSG:999999' is no coordinate reference system on Earth"),
+        ("+proj=nothing\n" + GOOD, "line 1: '.proj=nothing' is no coordinate"),
+        ("WGS84 UTM 99N\n" + GOOD, "line 1: 'WGS84 UTM 99N' is no coordinate"),
+        ("EPSG:32632\n500000 5390000 300 10 20", "line 2: 5 words, where"),
+        ("EPSG:32632\n\nx 5390000 300 10 20 a.jpg", "line 3: 'x' is not a finite number"),
+        ("EPSG:32632\n500000 5390000 nan 10 20 a.jpg", "line 2: 'nan' is not a finite number"),
+        ("EPSG:32632\n1e30 5390000 300 10 20 a.jpg", "line 2: 1e30 5390000 300 is no place in EPSG:32632"),
+    ],
+)
+def test_what_is_wrong_with_a_list_is_said_with_its_line(tmp_path, text, said):
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"gcp_list.txt, {said}"):
+        read_control_file(path)
+
+
+def test_where_rays_meet_and_how_well_that_is_told():
+    """Rays read with noise: the told sigma is that of the places, on average over directions."""
+    rng = np.random.default_rng(3)
+    truth, centres = np.array([1.0, 2.0, 0.5]), np.array([[0, 0, 10.0], [4, 0, 11], [0, 5, 9]])
+    sds = np.array([0.01, 0.02, 0.03])
+    exact, sd = meeting_point(centres, truth - centres, sds)
+    assert exact == pytest.approx(truth, abs=1e-9)
+    noisy = [
+        meeting_point(centres, truth - centres + rng.normal(0, 1, (3, 3)) * sds[:, None], sds) for _ in range(2000)
+    ]
+    errors = np.array([place for place, _ in noisy]) - truth
+    assert np.sqrt((errors**2).mean()) == pytest.approx(sd, rel=0.05)
+    assert np.mean([told for _, told in noisy]) == pytest.approx(sd, rel=0.01)
+
+
+def test_the_widest_angle_is_that_of_any_two():
+    rays = np.array([[0, 0, -1.0], [0, 0, -5], [3, 0, -3]])
+    assert widest_angle(rays) == pytest.approx(np.pi / 4)
+    assert widest_angle(rays[:1]) == pytest.approx(0, abs=1e-7)
