@@ -22,7 +22,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, PngImagePlugin
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
@@ -787,6 +787,31 @@ def test_a_profile_of_colours_comes_along(tmp_path, ending, cog):
     with RasterSource.open(tmp_path / f"a.{ending}") as source:
         source.write(tmp_path / "b.tif", 0.1, cog=cog)
     assert Image.open(tmp_path / "b.tif").info["icc_profile"] == profile
+
+
+XMP = """<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF
+xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" dc:rights="ours = yours"
+xmlns:dc="http://purl.org/dc/elements/1.1/"/></rdf:RDF></x:xmpmeta><?xpacket end="w"?>"""
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+@pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
+def test_whose_a_picture_is_stays_with_it(tmp_path, ending, cog):
+    path = tmp_path / f"a.{ending}"
+    image = Image.fromarray(np.moveaxis(scene(), 0, -1))
+    if ending == "png":  # XMP is a text of that name there
+        said = PngImagePlugin.PngInfo()
+        said.add_itxt("XML:com.adobe.xmp", XMP)
+        image.save(path, pnginfo=said)
+    elif ending == "tif":
+        image.save(path, tiffinfo={700: XMP.encode()})
+    else:
+        image.save(path, xmp=XMP.encode())
+    with RasterSource.open(path) as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        assert d.tags(ns="xml:XMP") == {"xml:XMP": XMP}
 
 
 @pytest.mark.parametrize("cog", [False, True])

@@ -30,8 +30,9 @@ _WHOLE = 100_000_000  # [px] copies up to this size are compared with their orig
 _PROFILE = "COLOR_PROFILE", "SOURCE_ICC_PROFILE"  # GDAL's domain and name of an ICC profile, base64
 _TRANSPARENT = "NODATA_VALUES"  # GDAL's tag of a colour that has no data: a value for each band
 # Domains of metadata that are not copied: GDAL's own, those of the file's structure, those of former georeferencing,
-# and a profile, which is no metadata in a TIFF. XML is left out too: rasterio cannot write it.
+# and a profile, which is no metadata in a TIFF. Of XML only XMP is: of the rest much is former georeferencing.
 _OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
+_XMP = "xml:XMP"  # GDAL's domain and name of XMP: who made the picture, with what, whose it is
 
 
 @dataclass(frozen=True)
@@ -187,6 +188,10 @@ class Original:
             for domain in source.tag_namespaces(band):
                 if domain not in _OWN_DOMAINS and not domain.startswith("xml:") and not copy.tags(band, ns=domain):
                     copy.update_tags(band, ns=domain, **source.tags(band, ns=domain))
+        # Rasterio hands names and values to GDAL with "=" between, which takes them for the text of such a domain.
+        name, equals, text = source.tags(ns=_XMP).get(_XMP, "").partition("=")
+        if equals and not copy.tags(ns=_XMP):
+            copy.update_tags(ns=_XMP, **{name: text})
         if copy.mode == "r+" and source.overviews(1) and not copy.overviews(1):
             resampling = Resampling.nearest if self.paletted else Resampling.average
             copy.build_overviews(source.overviews(1), resampling)
