@@ -3,6 +3,7 @@
 import json
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -629,11 +630,42 @@ def test_kinds_are_kept_where_readers_agree(tmp_path, command):
     one.write_text(json.dumps({"0": ["cpvln", "cc????", *blank]}))
     with pytest.raises(ValueError, match="rows of 6 letters"):
         kinds.read_answers(one, 8)
+    run("sheets", "--labels", labels, "--count", 100, "--out", tmp_path / "rest", "--to", kept)
+    rest = [cell.label.round(2).tolist() for cell in by_hand.read_sheets(tmp_path / "rest")]
+    assert len(rest) > 3 and not any(v["box"] in rest for v in vehicles)  # what was told is not asked again
     # What was told is what the measurer learns from.
     patches = real.told_patches(tmp_path / "labels", vehicles)
     assert [ANSWERS[p.kind] for p in patches] == [v["kind"] for v in vehicles]
     for patch, vehicle in zip(patches, vehicles, strict=True):
         assert patch.box[2:].tolist() == vehicle["box"][2:]
+
+
+def test_sheets_may_show_only_what_a_measurer_takes_for_rare(tmp_path, monkeypatch, command):
+    """Told by how wide they are: the pickups and vans of a place that has few."""
+    boxes = field_of_boxes(np.random.default_rng(8))
+    labels = write_labels(tmp_path / "labels", {"park": (draw_boxes(boxes), rows(boxes))})
+    limit = np.median(boxes[:, 3])
+
+    class ByWidth:
+        def __init__(self, path):
+            assert path is None  # the shipped one
+
+        def in_pixels(self, pixels, found):
+            kind = np.full((len(found), len(ANSWERS)), 0.1)
+            kind[:, ANSWERS.index("pickup")] = np.where(found.xylwa[:, 3] > limit, 0.4, 0.2)
+            kind[:, ANSWERS.index("van")] = 0.11
+            return SimpleNamespace(kind=kind)
+
+    monkeypatch.setattr(kinds, "Measurer", ByWidth)
+    command(kinds, "sheets", "--labels", labels, "--likely", 0.5, "--count", 100, "--out", tmp_path / "sheets",
+            "--to", tmp_path / "none.json")  # fmt: skip
+    drawn = [cell.label for cell in by_hand.read_sheets(tmp_path / "sheets")]
+    command(
+        kinds, "sheets", "--labels", labels, "--count", 100, "--out", tmp_path / "all", "--to", tmp_path / "none.json"
+    )
+    every = [cell.label for cell in by_hand.read_sheets(tmp_path / "all")]
+    assert 3 < len(drawn) == sum(label[3] > limit for label in every) < len(every)
+    assert all(label[3] > limit for label in drawn)
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,8 @@ EMPTY_GROUND = 25
 GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
 READ = (*SCENES, "judged", "ohio", "chips")  # whose edges read by eye are learnt from; other places try the network
 # Whose kinds are; the chips' pictures are named by what they show.
-TOLD = (*SCENES, "ohio", "buildings", "denseresidential", "freeway", "intersection", "mobilehomepark", "overpass",
-        "parkinglot", "storagetanks", "tenniscourt")  # fmt: skip
+TOLD = (*SCENES, "judged", "ohio", "buildings", "denseresidential", "freeway", "intersection", "mobilehomepark",
+        "overpass", "parkinglot", "storagetanks", "tenniscourt")  # fmt: skip
 SLANTED = ("sheffield",)  # scenes of oblique frames, where readers and measurers mean different edges
 WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
 NONE, UNKNOWN = ANSWERS.index("none"), -1
