@@ -52,7 +52,7 @@ def load_fleet(name: str | Path) -> Fleet:
 
 def read_fleet(path: Path) -> Fleet:
     """A fleet from a JSON file of one entry, as in ``data/fleets.json``. Raises InputError."""
-    from .formats.schemas import FleetEntry
+    from .formats.schemas.fleets import FleetEntry
 
     entry = read_plain(path, "a fleet", FLEET_HINT)
     checked(entry, FleetEntry, str(path), "a fleet", FLEET_HINT)

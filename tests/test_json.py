@@ -344,10 +344,10 @@ def test_the_limits_of_a_number_are_told_as_they_are(tmp_path):
 
 
 def test_the_tables_that_are_shipped_fit_their_own_schemas():
-    from orthoscale.formats import schemas
     from orthoscale.formats.reading import read
+    from orthoscale.formats.schemas import fleets, standards
 
     data = Path(orthoscale.__file__).parent / "data"
-    tables = {"fleets": schemas.FleetTable, "objects": schemas.ObjectTable, "stalls": schemas.StallTable}
-    for name, schema in {**tables, "facilities": schemas.FacilityTable}.items():
+    tables = {"fleets": fleets.FleetTable, "objects": standards.ObjectTable, "stalls": standards.StallTable}
+    for name, schema in {**tables, "facilities": standards.FacilityTable}.items():
         read(data / f"{name}.json", schema, "a table")

@@ -24,7 +24,7 @@ from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
-from orthoscale.formats.schemas import Report
+from orthoscale.formats.schemas.report import Report
 from orthoscale.report import files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json

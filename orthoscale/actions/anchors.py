@@ -206,7 +206,7 @@ def _of_words(text: str) -> list[tuple[str, Standard]]:
 
 def _of_file(path: Path) -> list[tuple[str, Standard]]:
     from ..formats.reading import read
-    from ..formats.schemas import AnchorStandards
+    from ..formats.schemas.standards import AnchorStandards
 
     entries = read(path, AnchorStandards, "a file of standards", STANDARD_HINT).standards
     return [(_kind(e.kind), _standard(e.name, e.metres, e.sd, e.source or str(path))) for e in entries]

@@ -24,7 +24,7 @@ def explain(report: Path, as_json: bool) -> None:
     """
     from ..errors import InputError
     from ..formats.reading import LARGE, checked, read_plain
-    from ..formats.schemas import Explained
+    from ..formats.schemas.report import Explained
     from ..report import explanation
     from ..report.document import upgraded
 

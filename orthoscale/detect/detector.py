@@ -71,7 +71,7 @@ class Card:
         """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
         from msgspec import UNSET
 
-        from ..formats.schemas import CardEntry
+        from ..formats.schemas.networks import CardEntry
 
         if len(text) > LONGEST_CARD:
             raise InputError(f"{origin}: longer than the {LONGEST_CARD} characters that it may have", CARD_HINT)

@@ -75,7 +75,7 @@ class MeasurerCard:
     @classmethod
     def from_json(cls, text: str, origin: str) -> MeasurerCard:
         """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
-        from ..formats.schemas import MeasurerCardEntry
+        from ..formats.schemas.networks import MeasurerCardEntry
 
         entry = checked(
             parsed(text, origin, MEASURER_CARD, MEASURER_HINT),

@@ -249,7 +249,7 @@ def _pipeline_normalisation(path: Path) -> Normalisation | None:
 
     Raises InputError for a file that is there and cannot be understood.
     """
-    from ..formats.schemas import NormalisationEntry, Pipeline
+    from ..formats.schemas.networks import NormalisationEntry, Pipeline
 
     file = path.with_name("pipeline.json")
     if not file.exists():

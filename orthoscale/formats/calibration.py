@@ -36,7 +36,7 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
 
 def load_calibration(path: str | Path) -> Calibration:
     """Raises InputError for what `save_calibration` did not write, UsageError for what is no path."""
-    from .schemas import CalibrationEntry
+    from .schemas.fleets import CalibrationEntry
 
     path = path_of(path, A_CALIBRATION)
     hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"

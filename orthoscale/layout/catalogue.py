@@ -121,7 +121,7 @@ def load(path: Path | None = None) -> dict[str, Facility]:
     built_in = _table()["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
-    from ..formats.schemas import Catalogue
+    from ..formats.schemas.standards import Catalogue
 
     own = read_plain(path, "a catalogue", CATALOGUE_HINT)
     checked(own, Catalogue, str(path), "a catalogue", CATALOGUE_HINT)
@@ -180,7 +180,8 @@ def _table() -> dict[str, Any]:
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
-    """From an entry that fits `schemas.FacilityEntry`. Raises ValueError for lines or an infield that make no sense."""
+    """From an entry that fits `schemas.standards.FacilityEntry`. Raises ValueError for lines or an infield without
+    sense."""
     sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
     both = [_points(line) for line in entry.get("both_ends", [])]
     lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]

@@ -126,7 +126,7 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
-    from ..formats.schemas import ReportScale
+    from ..formats.schemas.report import ReportScale
 
     try:
         told = read(report, ReportScale, "a report of orthoscale", most=LARGE)

@@ -86,7 +86,7 @@ class Embedding:
             return EmbeddingCard(self.path.stem, size, IMAGENET)
         from msgspec import UNSET
 
-        from ..formats.schemas import EmbeddingCardEntry
+        from ..formats.schemas.networks import EmbeddingCardEntry
 
         origin = f"{self.path}: its card"
         entry = checked(

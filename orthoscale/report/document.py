@@ -335,7 +335,7 @@ def write_json(report: Mapping[str, Any], path: Path) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """A report that `write_json` wrote, with names as they were. Raises InputError for anything else."""
-    from ..formats.schemas import Report
+    from ..formats.schemas.report import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
     report = upgraded(read_plain(path, "a report", hint, LARGE))

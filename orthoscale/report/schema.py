@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from ..formats.schemas import Report
+from ..formats.schemas.report import Report
 from .document import FORMAT
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"

@@ -201,7 +201,7 @@ def _from_metashape(text: str) -> pycolmap.Camera:
 
 
 def _from_json(path: Path) -> pycolmap.Camera:
-    from ..formats.schemas import LensEntry
+    from ..formats.schemas.models import LensEntry
 
     lens = read(path, LensEntry, "a calibration of a lens", LENS_HINT)
     fx = lens.fx or lens.focal_px or 0.0  # one of the two is there

@@ -67,7 +67,7 @@ def _of_claim(claimed: Claim, width: int, height: int) -> Location | None:
 
 def _of_reference(path: Path) -> Location | None:
     from ..formats.reading import is_there, read
-    from ..formats.schemas import ReferenceLla
+    from ..formats.schemas.models import ReferenceLla
 
     if not is_there(path):
         return None

@@ -18,7 +18,7 @@ from .items import LABEL, Item
 from .own import measured_notes
 
 if TYPE_CHECKING:
-    from ..schemas import CocoAnnotation
+    from ..schemas.detections import CocoAnnotation
 
 COCO_HINT = "Oriented boxes are needed: a segmentation with four corners, or a bbox with an angle."
 
@@ -32,7 +32,7 @@ def is_coco(text: Any) -> bool:
 
 def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]]:
     """The boxes of a document, and the size (width, height) of pictures where it tells. Raises InputError."""
-    from ..schemas import Coco
+    from ..schemas.detections import Coco
 
     whole = checked(text if isinstance(text, dict) else {"annotations": text}, Coco, origin, "COCO's JSON", COCO_HINT)
     pictures = {image.id: image.file_name for image in whole.images}

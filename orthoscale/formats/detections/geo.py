@@ -86,7 +86,7 @@ def is_geojson(text: Any) -> bool:
 
 def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | None) -> list[Item]:
     """The boxes of a document. Raises InputError."""
-    from ..schemas import GeoCollection
+    from ..schemas.detections import GeoCollection
 
     whole = checked(
         text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."

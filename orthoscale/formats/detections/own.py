@@ -18,7 +18,7 @@ from ..reading import LARGE, checked, read_plain
 from ..tables import known_objects
 
 if TYPE_CHECKING:
-    from ..schemas import BoxEntry, DetectionsEntry, NoteEntry
+    from ..schemas.detections import BoxEntry, DetectionsEntry, NoteEntry
 
 FIELDS = ("cx", "cy", "length", "width", "angle")
 WHAT = "a detections file"
@@ -47,7 +47,7 @@ def load_detections(path: str | Path) -> Detections:
 
 def of_document(text: Any, path: Path) -> Detections:
     """The same from the plain values that are in the file `path`. Raises InputError."""
-    from ..schemas import BoxesByPicture, DetectionsEntry
+    from ..schemas.detections import BoxesByPicture, DetectionsEntry
 
     name = f"boxes of {path.name}"
     if not (isinstance(text, dict) and "pictures" in text):
@@ -80,7 +80,7 @@ def noted(boxes: dict[str, Boxes], note: Mapping[str, Any] | None, name: str, or
     that nobody has measured. Raises InputError, which calls the file `origin`."""
     if note is None:
         return Detections(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, name)
-    from ..schemas import NoteEntry
+    from ..schemas.detections import NoteEntry
 
     return _of_entry(boxes, checked(note, NoteEntry, origin, WHAT, "Save the detections again."), name)
 

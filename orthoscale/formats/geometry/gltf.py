@@ -70,7 +70,7 @@ def _referred(source: Path, text: dict[str, Any]) -> Referred:
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     """`text` with one scaling node above each root: what scenes begin with, and what is below no other node, for a file
     need not have scenes."""
-    from ..schemas import Gltf
+    from ..schemas.gltf import Gltf
 
     hint = "Export the mesh as a glTF 2.0 scene."
     checked(text, Gltf, str(path), A_SCENE, hint)

@@ -23,7 +23,7 @@ POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras"
 
 def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     """The plain values of a transforms.json, a mapping, or of a reconstruction.json, a list. Raises InputError."""
-    from ..schemas import OpensfmPart, Transforms
+    from ..schemas.models import OpensfmPart, Transforms
 
     text = read_plain(path, "a JSON of cameras", POSES_HINT, HUGE)
     if isinstance(text, list):

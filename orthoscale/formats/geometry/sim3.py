@@ -49,7 +49,7 @@ class Sim3:
     def load(cls, path: Path) -> Sim3:
         """Read either file. Raises InputError for anything else, UsageError for one that turns or shifts."""
         if path.suffix.lower() == ".json":
-            from ..schemas import Sim3Entry
+            from ..schemas.models import Sim3Entry
 
             entry = read(path, Sim3Entry, "a similarity", SIM3_HINT)
             scale, rest = entry.scale, [*entry.rotation_wxyz, *entry.translation]

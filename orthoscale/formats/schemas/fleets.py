@@ -1,0 +1,94 @@
+"""Fleets of vehicles, and what a calibration says."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from ...core.market_segments import AXES
+from .networks import RulerEntry
+from .values import Metres, Name, Sigma, Text, Weight
+
+Sizes = tuple[Metres, Sigma]  # mean and one sigma between vehicles
+Correlation = Annotated[float, Meta(gt=-1, lt=1)]
+
+
+WIDEST = 0.5  # sigma of a size as a share of it: a size may not be nought
+
+
+def _check_sizes(entry: FleetEntry | MixturePart) -> None:
+    for axis in AXES:
+        mean, sd = getattr(entry, axis)
+        if sd > WIDEST * mean:
+            raise ValueError(f"{axis}: expected a mean and a sigma of at most half of it")
+    if entry.length[0] < entry.width[0]:
+        raise ValueError("length: expected no less than the width")
+
+
+class MixturePart(Struct, rename={"class_": "class"}):
+    """One class of a mixture: mean and one sigma of its sizes [m], and its share of the fleet as a weight."""
+
+    class_: Name
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    weight: Weight = 1.0
+    corr_LW: Correlation | UnsetType = UNSET
+
+
+class FleetEntry(Struct):
+    """An entry of ``data/fleets.json``, and a user's file; see `core.fleet.Fleet`."""
+
+    name: Text
+    source: Text
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    mean_sd: tuple[Sigma, Sigma, Sigma]
+    shares: dict[str, Weight] | UnsetType = UNSET
+    mixture: list[MixturePart] | None = None
+    corr_LW: Correlation | UnsetType = UNSET
+    year: Annotated[int, Meta(ge=0, le=9999)] = 0
+    shares_source: Text = ""
+
+    def __post_init__(self) -> None:
+        _check_sizes(self)
+        for part in self.mixture or ():
+            _check_sizes(part)
+        for axis, sd in zip(AXES, self.mean_sd, strict=True):
+            if sd > WIDEST * getattr(self, axis)[0]:
+                raise ValueError(f"mean_sd: expected at most half of the {axis}")
+        if self.shares is not UNSET and not sum(self.shares.values()) > 0:
+            raise ValueError("expected shares of which one is greater than nought")
+        if self.mixture and not sum(part.weight for part in self.mixture) > 0:
+            raise ValueError("expected a mixture of which one weight is greater than nought")
+
+
+class Segment(Struct, rename={"class_": "class"}):
+    """A market segment: its sizes [m] over `models` models on sale."""
+
+    class_: Name
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    corr_LW: Correlation
+    models: Annotated[int, Meta(ge=1)]
+
+
+class FleetTable(Struct):
+    """``data/fleets.json``."""
+
+    segments: dict[str, Segment]
+    fleets: dict[str, FleetEntry]
+
+
+class CalibrationEntry(Struct):
+    """`core.calibration.Calibration`."""
+
+    kind: Literal["orthoscale calibration 1"]
+    detector: Text
+    detector_sha256: Name
+    ruler: RulerEntry
+    fleet: FleetEntry | None
+    made_from: dict[str, Any]

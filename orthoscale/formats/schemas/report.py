@@ -1,0 +1,150 @@
+"""Reports."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from .values import Count, Finite, Metres, Name, Positive, Px, PxLength, Share, Sigma, Text, Weight
+
+
+class ReportScale(Struct):
+    """What of a report (`report.document`) says how long a unit is."""
+
+    scale: Positive
+    interval90: tuple[Positive, Positive]
+
+
+class ReportRemark(Struct):
+    """`core.remarks.Remark`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    text: Text
+
+
+class ReportJudgement(Struct):
+    """`core.remarks.Judgement`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    what: Text
+    detail: Text
+
+
+class Explained(Struct):
+    """What of a report `report.explanation` needs."""
+
+    scale: Positive
+    unit: Name
+    uncertainty: dict[str, Annotated[float, Meta(ge=0, le=1e3)]]
+    vehicles_used: Count
+    fleet: Name
+    verdict: Name = ""
+    remarks: list[ReportRemark] = []
+
+
+class ReportInput(Struct):
+    """What was measured, of which kind it is ('' in reports of older versions, whose unit tells), its content's hash,
+    and the folder that relative names here and in `settings` start from."""
+
+    path: Annotated[str, Meta(min_length=1, max_length=10_000)]
+    sha256: Name
+    folder: Annotated[str, Meta(max_length=10_000)] = ""
+    kind: Literal["orthophoto", "reconstruction", ""] = ""
+
+
+class ReportBox(Struct):
+    """One box that showed a vehicle: centre, length, width [px], angle [rad]."""
+
+    picture: Text
+    xylwa_px: tuple[Px, Px, PxLength, PxLength, Finite]
+    score: Share
+
+
+class ReportVehicle(Struct):
+    """A vehicle's size and place [m], whether it counted, and why not."""
+
+    length: Finite
+    width: Finite
+    place_m: tuple[Finite, Finite]
+    used: bool
+    reason: Text
+    boxes: list[ReportBox]
+
+
+class ReportSize(Struct):
+    """A fleet's mean, spread between vehicles and what the mean may be off by, one sigma each [m]."""
+
+    mean: Metres
+    sd: Sigma
+    mean_sd: Sigma
+
+
+class ReportClass(Struct):
+    """One class of the fleet that was measured with: weight, mean and one sigma of length and width [m]."""
+
+    name: Text
+    weight: Weight
+    mean: tuple[Metres, Metres]
+    sd: tuple[Sigma, Sigma]
+
+
+class ReportFleet(Struct):
+    """The sizes [m] that a scale rests on."""
+
+    length: ReportSize
+    width: ReportSize
+    classes: list[ReportClass]
+
+
+class ReportEvidence(Struct):
+    """What else but vehicles told a scale, with its relative one sigma."""
+
+    kind: Text
+    scale: Positive
+    relative_sd: Finite
+    says: Text
+
+
+class ReportAnchor(Struct):
+    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+
+    kind: Text
+    standard: Text
+    metres: Positive
+    scale: Positive
+    relative_sd: Finite
+    counted: bool
+    count: Count
+    views: Count
+    picture: Text
+    lines_px: list[tuple[tuple[Px, Px], tuple[Px, Px]]]
+    residual_cm: Finite
+
+
+class Report(Explained, kw_only=True):
+    """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
+
+    format: Literal["orthoscale report 2"]
+    interval90: tuple[Positive, Positive]
+    verdict: Name
+    fit: Text
+    judgements: list[ReportJudgement] = []
+    vehicles_rejected: dict[str, Count]
+    boxes_rejected: dict[str, Count]
+    fleet_sizes: ReportFleet
+    checks: dict[str, Finite]
+    input: ReportInput
+    settings: dict[str, Any]
+    pictures: dict[str, tuple[Count, Count]]
+    pixel_aspect: Positive = 1.0
+    vehicles: list[ReportVehicle]
+    evidence: list[ReportEvidence] = []
+    anchors: list[ReportAnchor] = []
+    without_anchors: ReportScale | None = None
+    fleets: dict[str, Finite] = {}
+    claim: dict[str, Any] | None = None
+    drift: dict[str, Any] | None = None
+    modes: dict[str, Any] | None = None
+    calibration: dict[str, Any] | None = None
+    agreement: dict[str, Any] | None = None

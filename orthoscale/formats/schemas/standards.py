@@ -1,0 +1,109 @@
+"""Things of standard size: objects, anchors, parking stalls, facilities and what is painted on them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from .fleets import Sizes
+from .values import Metres, Name, Sigma, Text
+
+
+class ObjectStandard(Struct):
+    """The standard size of one kind of object [m], and who says so."""
+
+    name: Text
+    length: Sizes
+    width: Sizes
+    source: Text
+
+
+class AnchorStandard(Struct, forbid_unknown_fields=True):
+    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+
+    kind: Name
+    metres: Annotated[float, Meta(gt=0, lt=1e4)]
+    name: Name = "your own"
+    sd: Annotated[float, Meta(gt=0, lt=1e4)] | None = None
+    source: Text = ""
+
+    def __post_init__(self) -> None:
+        if self.sd is not None and self.sd >= self.metres:
+            raise ValueError("sd: expected less than the metres")
+
+
+class AnchorStandards(Struct):
+    """A user's file of standards."""
+
+    standards: list[AnchorStandard]
+
+
+class ObjectTable(Struct):
+    """``data/objects.json``."""
+
+    objects: dict[str, list[ObjectStandard]]
+
+
+class Stall(Struct):
+    """The size of a country's parking stalls and what their width strays by, one sigma [m]. countries : whose they
+    are, of a row whose key is no country."""
+
+    width: Metres
+    width_sd: Sigma
+    length: Metres
+    source: Text
+    countries: list[str] = []
+
+
+class StallTable(Struct):
+    """``data/stalls.json``."""
+
+    stalls: dict[str, Stall]
+
+
+Extent = Annotated[float, Meta(gt=0, le=10_000)]  # [m]
+RunOff = Annotated[float, Meta(ge=0, le=10_000)]
+Colour = Annotated[int, Meta(ge=0, le=255)]
+Line = Annotated[list[str | Annotated[float, Meta(ge=-10_000, le=10_000)]], Meta(min_length=1, max_length=10)]
+
+
+class FacilityEntry(Struct):
+    """One of ``data/facilities.json`` or of a user's catalogue; see `layout.catalogue`."""
+
+    name: Text
+    source: Text
+    length: Extent
+    width: Extent
+    ends: RunOff = 0.0
+    sides: RunOff = 0.0
+    north_south: bool = False
+    shape: Name = ""
+    lines: list[Line] = []
+    both_ends: list[Line] = []
+    infield: Name | None = None
+    look: Text | UnsetType = UNSET
+    colour: tuple[Colour, Colour, Colour] | UnsetType = UNSET
+
+    def __post_init__(self) -> None:
+        if self.length < self.width:
+            raise ValueError("expected a length of no less than the width")
+
+
+class Catalogue(Struct):
+    """A user's facilities by their code."""
+
+    facilities: dict[str, FacilityEntry]
+
+
+class Aisle(Struct):
+    """The aisle between parking bays of one country [m]."""
+
+    aisle: Extent
+    source: Text
+
+
+class FacilityTable(Catalogue):
+    """``data/facilities.json``."""
+
+    parking: dict[str, Aisle]
