@@ -1,5 +1,6 @@
 """Evidence besides vehicles: combined where it agrees, reported where it does not."""
 
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.stats import t
 
 from orthoscale.core.control import ground_control, known_distance
-from orthoscale.core.evidence import Evidence, combined
+from orthoscale.core.evidence import BY_GPS, Evidence, combined
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
 from orthoscale.core.pooling.anchors import evidence_of
@@ -75,6 +76,16 @@ def test_an_error_that_vehicles_share_hides_no_contradiction_with_them():
     court = Evidence.mixed("court", Posterior.normal(0.12, 0.005), ["a court"], common=0.04)
     found = combined(Posterior.normal(0.0, 0.05), PARTS, [court]).conflict
     assert found == pytest.approx(0.12 / np.hypot(0.03, 0.005))
+
+
+def test_positions_of_which_some_are_mistakes_count_by_their_doubt():
+    """As those of any flight do where a receiver lost its fix for a while."""
+    vehicles, gps = Posterior.normal(0.0, 0.04), Evidence(BY_GPS, 1.03, 0.01, "GPS positions of 18 frames", doubt=0.1)
+    got = combined(vehicles, {"sampling": 0.04}, [gps])
+    assert 1.02 < got.summary[0] < 1.03 and [e.kind for e in got.evidence] == [BY_GPS]
+    assert combined(vehicles, {"sampling": 0.04}, [replace(gps, doubt=0.0)]).posterior.spread < got.posterior.spread
+    (far,) = combined(vehicles, {"sampling": 0.04}, [replace(gps, value=1.5)]).remarks
+    assert "does not count" in far.text
 
 
 def test_in_which_order_evidence_comes_does_not_matter():
