@@ -380,6 +380,16 @@ def test_too_few_vehicles_are_refused(n):
         pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
 
 
+@pytest.mark.parametrize("wide", [0.7, 1.4])
+def test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths_say(wide):
+    """The scale is sought where the lengths have it, not midway to the widths."""
+    fleet, ruler = load_fleet("DE"), replace(RULER, bias_sd=(0.015, 0.25), common_sd=0.0)
+    votes = scene(np.random.default_rng(1), fleet, 150, 0.05, ruler=ruler, surprise=False)
+    scale, other = (pool(v, fleet, ruler, "m/px") for v in (votes, replace(votes, size=votes.size * (1, wide))))
+    assert scale.weights[0] > 0.98
+    assert other.value == pytest.approx(scale.value, rel=0.01) and other.tension < CHECK_LIMIT
+
+
 def test_boxes_without_a_common_scale_are_refused():
     rng = np.random.default_rng(6)
     size = np.exp(rng.uniform(0, 5, (9, 2)))
