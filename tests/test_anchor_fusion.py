@@ -141,6 +141,27 @@ def test_many_of_a_kind_are_not_independent():
     assert sds[2] == pytest.approx(np.sqrt(0.01**2 * SHARED + 0.003**2), rel=0.01)
 
 
+@pytest.mark.parametrize("sds", [(0.004, 0.004), (0.002, 0.02), (0.004, 0.004, 0.004, *4 * (0.03,)), (0.01, 0.05)])
+def test_a_kind_of_sure_and_of_vague_anchors_errs_as_it_says(sds):
+    """Half of each one's variance is its own; what the others are off by besides is nobody's."""
+    rng, sd = np.random.default_rng(1), np.array(sds)
+    sigmas = []
+    for _ in range(150):
+        off = sd * (np.sqrt(SHARED) * rng.normal() + np.sqrt(1 - SHARED) * rng.normal(size=len(sd)))
+        off += COURT[0].relative_sd * rng.normal()
+        (found,) = evidence_of([vote("c", off[k], sd[k], COURT, at=1e4 * k) for k in range(len(sd))])
+        sigmas.append(np.log(found.value) / found.relative_sd)
+    assert 0.85 < np.sqrt(np.mean(np.square(sigmas))) < 1.15
+
+
+def test_what_only_a_kind_has_in_common_is_no_error_of_the_vehicles():
+    """How high containers are boxed makes them all wrong alike, and leaves the vehicles as sure as they are."""
+    votes = [replace(vote("container", 0.0, 0.004, COURT, at=1e4 * k), kind_sd=0.1) for k in range(9)]
+    (found,) = evidence_of(votes)
+    assert found.relative_sd == pytest.approx(0.1, rel=0.01), "however many there are"
+    assert together(votes).posterior.spread == pytest.approx((SD**-2 + found.relative_sd**-2) ** -0.5, rel=0.02)
+
+
 def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_are():
     """Vehicles and anchors of a model err alike by its ground, by 1 %; a tape does not."""
     kinds = [replace(vote(kind, 0.01, 0.002, COURT), shared_sd=0.01) for kind in ("court", "dashes", "bays")]
