@@ -154,7 +154,7 @@ MUTANTS = (
         "np.exp(-0.5 * (off - off.min())))",
         f"{EVIDENCE}test_of_two_scales_about_as_near_the_sharper_one_is_meant",
     ),
-    Mutant("core/pooling/agreement.py", "own += 1.57 * spread**2 / len(each)", "own += 0", ALIKE),
+    Mutant("core/pooling/agreement.py", "own += OF_MEDIAN**2 * spread**2 / len(each)", "own += 0", ALIKE),
     Mutant(
         "core/pooling/agreement.py",
         'b.parts.get("fleet", 0.0))) if alike else 0.0',
