@@ -238,13 +238,15 @@ def test_sizes_drawn_to_the_usual_are_undone_by_what_the_card_says_and_found_whe
 def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usual():
     """Vehicles of 3.9 m are drawn to 4.4 m more or less strongly, those of 4.4 m stay what they are."""
     sure, unsure = replace(RULER, shrink_sd=(0.0, 0.0)), replace(RULER, shrink_sd=(0.2, 0.2))
-    added = {"DE": [], "NP": []}
+    added, sampling = {"DE": [], "NP": []}, []
     for code, seed in itertools.product(added, range(15, 19)):  # the parts of one draw are not the usual ones
         fleet = load_fleet(code)
         votes = scene(np.random.default_rng(seed), fleet, 400, surprise=False)
         known, unknown = (pool(votes, fleet, ruler, "m/px") for ruler in (sure, unsure))
         added[code].append(unknown.parts["margin"] ** 2 - known.parts["margin"] ** 2)
-        assert unknown.parts["sampling"] < 1.2 * known.parts["sampling"], "it is no part that more vehicles shrink"
+        sampling.append([scale.parts["sampling"] for scale in (known, unknown)])
+    before, after = np.mean(sampling, axis=0)
+    assert after < 1.2 * before, "it is no part that more vehicles shrink"
     assert np.mean(added["NP"]) > 3 * max(np.mean(added["DE"]), 1e-7)
 
 
@@ -333,6 +335,15 @@ def test_the_sampling_part_is_what_drawing_the_votes_again_moves():
     ]
     assert abs(np.mean(again)) < whole.parts["sampling"]
     assert 0.4 < np.std(again) / whole.parts["sampling"] < 1.5
+
+
+def test_twice_as_many_vehicles_have_a_smaller_sampling_part_where_mixes_are_hardly_told_apart():
+    fleet = load_fleet("DE")
+    few, many = (
+        np.sqrt(np.mean([pool(scene(rng, fleet, n), fleet, RULER, "").parts["sampling"] ** 2 for _ in range(5)]))
+        for n, rng in ((n, np.random.default_rng(n)) for n in (30, 60))
+    )
+    assert many < 0.85 * few
 
 
 def test_more_vehicles_shrink_the_sampling_part_only():

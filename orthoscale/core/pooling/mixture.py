@@ -169,7 +169,8 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     many = len(share)
     score = np.zeros((*p.shape, UNKNOWNS + many))
     score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", problem.turn, pull)
-    score[:many, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
+    # No more is believed of the shares than `counts` holds: else guessing would lose more of them than there is.
+    score[:many, :, UNKNOWNS:] = np.sqrt(believed_share(p.shape[1])) * (np.eye(many) - share)[:, None]
     expected = np.einsum("kn,knd->nd", p, score)
     lost = np.tensordot(p[..., None] * score, score, ((0, 1), (0, 1))) - expected.T @ expected
     whole = np.zeros_like(lost)
