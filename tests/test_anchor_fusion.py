@@ -184,6 +184,41 @@ def test_an_odd_one_among_many_does_not_count():
     assert abs(value) < 0.003 and high < 0.06
 
 
+def test_an_odd_one_does_not_count_however_sure_it_is_to_be_one():
+    votes = [vote("court", x, 0.004, COURT, false=0.0, at=1e4 * k) for k, x in enumerate([0.0, 0.002, -0.001, 0.08])]
+    assert abs(np.log(evidence_of(votes)[0].value)) < 0.002
+
+
+def test_a_likely_mistake_counts_less_in_the_mean_and_a_kind_is_as_sure_as_its_surest():
+    sure, unsure = vote("court", 0.0, 0.01, COURT, false=0.02), vote("court", 0.012, 0.01, COURT, false=0.97, at=1e4)
+    (found,) = evidence_of([sure, unsure])
+    assert 0 < np.log(found.value) < 0.3 * 0.012 and found.doubt == 0.02
+    (found,) = evidence_of([replace(sure, anchor=replace(sure.anchor, false=false)) for false in (0.2, 0.02)])
+    assert found.doubt == 0.02
+
+
+def test_an_anchor_that_is_likely_a_mistake_is_no_vaguer_for_it():
+    (found,) = evidence_of([vote("court", 0.0, 0.02, COURT, false=0.95)])
+    assert found.doubt == 0.95 and found.relative_sd == pytest.approx(np.hypot(0.02, COURT[0].relative_sd))
+
+
+def test_what_is_built_abroad_is_copied_seldom():
+    both = tuple(Standard(f"of {c}", m, 0.001, "s", countries=(c,)) for c, m in (("DE", 2.5), ("US", 2.7)))
+    for country, own in (("DE", 0), ("US", 1)):
+        weight = evidence_of([vote("court", 0.0, 0.003, both)], country)[0].posterior.weight
+        assert weight[own] > 0.9
+
+
+def test_a_rule_that_a_country_seldom_follows_tells_it_as_seldom():
+    """Of the bays there three in ten are as these; the finds that are mistakes tell nothing."""
+    rare, usual = (
+        vote("parking bays", 0.0, 0.003, (Standard("ours", 2.5, 0.001, "s", prior, ("DE",)),)) for prior in (0.3, 1.0)
+    )
+    cars = {"DE": Posterior.normal(0.0, 0.02)}
+    share = country_agreement([rare], cars)["DE"] / country_agreement([usual], cars)["DE"]
+    assert share == pytest.approx(0.3, abs=0.03)
+
+
 def test_what_is_drawn_stands_for_what_is_only_boxed():
     drawn, boxed = vote("tennis court", 0.0, 0.004, COURT), vote("tennis court", 0.05, 0.001, COURT, false=0.0)
     boxed.anchor.lines.resize((0, 2, 2), refcheck=False)
