@@ -13,7 +13,7 @@ from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import fit
 from orthoscale.core.pooling.observed import Seen
 from orthoscale.core.pooling.problem import Mix
-from orthoscale.core.pooling.robust import pool
+from orthoscale.core.pooling.robust import pool, vote_noise
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.verdicts import CHECK_LIMIT
 from orthoscale.core.votes import gather
@@ -389,6 +389,32 @@ def test_too_few_vehicles_are_refused(n):
     fleet = load_fleet("DE")
     with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles, 5 are needed"):
         pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
+
+
+def test_the_noise_of_a_vote_is_its_boxes_and_its_grounds():
+    """Views lessen the one and not the other."""
+    votes = scene(np.random.default_rng(0), load_fleet("DE"), 9)
+    votes = replace(votes, views=np.full(9, 4), ground=np.full(9, 0.03))
+    assert vote_noise(votes, RULER) == pytest.approx(np.hypot(np.array(RULER.noise) / 2, 0.03 * votes.size))
+
+
+def test_what_lengths_and_widths_err_by_alike_is_left_in_their_mean():
+    votes, fleet = scene(np.random.default_rng(0), load_fleet("DE"), 60), load_fleet("DE")
+    less, more = (
+        pool(votes, fleet, replace(RULER, common_sd=common), "m/px").parts["margin"] ** 2 for common in (0.0, 0.06)
+    )
+    assert more - less == pytest.approx(0.06**2, rel=0.15)
+
+
+@pytest.mark.parametrize("wide", [0.94, 1.06])
+def test_lengths_and_widths_say_each_what_they_say_alone(wide):
+    """Though each is drawn to the other in the answer."""
+    votes, fleet = scene(np.random.default_rng(2), load_fleet("DE"), 8, 0.2, surprise=False), load_fleet("DE")
+    as_they_are, wider = (
+        pool(v, fleet, RULER, "").checks for v in (votes, replace(votes, size=votes.size * (1, wide)))
+    )
+    assert wider["length"] == pytest.approx(as_they_are["length"], rel=0.02)
+    assert wider["width"] / as_they_are["width"] == pytest.approx(1 / wide, rel=0.03)
 
 
 @pytest.mark.parametrize("wide", [0.7, 1.4])
