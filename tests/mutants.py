@@ -39,6 +39,10 @@ BODY = f"{CHOICES}test_the_body_of_a_car_in_metres"
 EVIDENCE, PROJECTED, PHOTO = "tests/test_evidence.py::", "tests/test_projection.py::", "tests/test_photo.py::"
 ALIKE = f"{CHOICES}test_what_two_measurements_of_the_same_vehicles_may_differ_by"
 LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
+FUSED, POOLING = "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
+UNITED = (
+    "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
+)
 MUTANTS = (
     Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.7)", SUPPRESSED),
     Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.1)", SUPPRESSED),
@@ -154,7 +158,7 @@ MUTANTS = (
         "np.exp(-0.5 * (off - off.min())))",
         f"{EVIDENCE}test_of_two_scales_about_as_near_the_sharper_one_is_meant",
     ),
-    Mutant("core/pooling/agreement.py", "own += 1.57 * spread**2 / len(each)", "own += 0", ALIKE),
+    Mutant("core/pooling/agreement.py", "own += OF_MEDIAN**2 * spread**2 / len(each)", "own += 0", ALIKE),
     Mutant(
         "core/pooling/agreement.py",
         'b.parts.get("fleet", 0.0))) if alike else 0.0',
@@ -196,6 +200,108 @@ MUTANTS = (
         "return self.ground[:, 2] / focal",
         "return np.linalg.norm(self.ground, axis=1) / focal",
         f"{PROJECTED}test_elevation_and_pixel_size",
+    ),
+    Mutant(
+        "core/verdicts.py",
+        "return worst(word, AT_BEST_DOUBTED) if doubted else word",
+        "return word",
+        f"{CHOICES}test_odd_shapes_lower_a_verdict_by_one_step_and_a_doubt_to_fair",
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
+        '- {"geometry", "sampling"}',
+        '- {"geometry"}',
+        f"{CHOICES}test_the_same_vehicles_are_no_more_alike_for_being_as_many",
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
+        "np.add(a.weights, b.weights) / 2",
+        "np.add(a.weights, a.weights) / 2",
+        f"{CHOICES}test_sizes_differ_as_both_scales_weigh_lengths_and_widths",
+    ),
+    Mutant(
+        "core/pooling/posterior.py",
+        "overlap = self._overlap(other) - 0.5 * np.log(2 * np.pi)",
+        "overlap = self._overlap(other)",
+        f"{EVIDENCE}test_a_doubtful_measurement_counts_as_bayes_has_it",
+    ),
+    Mutant(
+        "core/evidence.py",
+        "counts |= (apart < SUPPORTS).any(1)",
+        "counts |= (apart < CONFLICT_LIMIT).any(1)",
+        f"{EVIDENCE}test_what_the_vehicles_exclude_counts_where_something_lies_within_two_sigmas_of_it",
+    ),
+    Mutant(
+        "core/pooling/anchors.py",
+        "np.minimum(alone, 1) @",
+        "alone @",
+        f"{FUSED}test_an_anchor_that_is_likely_a_mistake_is_no_vaguer_for_it",
+    ),
+    Mutant(
+        "core/pooling/anchors.py",
+        "precision = 1 / self.own",
+        "precision = np.ones(len(self.own))",
+        f"{FUSED}test_a_kind_of_sure_and_of_vague_anchors_errs_as_it_says",
+    ),
+    Mutant(
+        "core/pooling/anchors.py",
+        "if foreign else 1.0)",
+        "if foreign else FOREIGN)",
+        f"{FUSED}test_what_is_built_abroad_is_copied_seldom",
+    ),
+    Mutant(
+        "core/pooling/anchors.py",
+        "reading.rule + kind_sd**2",
+        "reading.rule",
+        f"{FUSED}test_what_only_a_kind_has_in_common_is_no_error_of_the_vehicles",
+    ),
+    Mutant(
+        "core/pooling/mixture.py",
+        "solved.unknown[solved.possible, :2] @ problem.weights",
+        "solved.unknown[solved.possible, :2].mean(1)",
+        f"{POOLING}test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths_say",
+    ),
+    Mutant(
+        "core/pooling/mixture.py",
+        "np.sqrt(believed_share(p.shape[1])) * (np.eye",
+        "1.0 * (np.eye",
+        f"{POOLING}test_twice_as_many_vehicles_have_a_smaller_sampling_part_where_mixes_are_hardly_told_apart",
+    ),
+    Mutant(
+        "core/pooling/robust.py",
+        "np.diag(own) + ruler.common_sd**2",
+        "np.diag(own)",
+        f"{POOLING}test_what_lengths_and_widths_err_by_alike_is_left_in_their_mean",
+    ),
+    Mutant(
+        "core/measuring/ways.py",
+        "np.diag(way.systematic.covariance) - both",
+        "np.diag(way.systematic.covariance)",
+        UNITED,
+    ),
+    Mutant(
+        "core/measuring/measure.py",
+        "vote_noise(votes, seen.ruler) / vehicles.size",
+        "vote_noise(votes, seen.ruler) / votes.size",
+        "tests/test_plan.py::test_the_noise_of_votes_is_a_share_of_the_vehicles_sizes",
+    ),
+    Mutant(
+        "core/measuring/surface.py",
+        "noise = max(chi2 / freedom, 1.0) if",
+        "noise = chi2 / freedom if",
+        f"{DRIFT}test_cells_that_scatter_less_than_they_may_make_no_drift_surer",
+    ),
+    Mutant(
+        "core/projection/exact.py",
+        "good = settled & (size",
+        "good = (size",
+        f"{PROJECTED}test_a_size_that_more_steps_would_change_is_not_told",
+    ),
+    Mutant(
+        "anchors/rails.py",
+        "return OF_MEDIAN * self.scatter",
+        "return self.scatter",
+        "tests/test_anchors_followed.py::test_the_middle_of_the_blocks_is_known_as_well_as_is_said",
     ),
     Mutant(
         "detect/tiles.py",

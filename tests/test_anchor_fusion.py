@@ -141,6 +141,27 @@ def test_many_of_a_kind_are_not_independent():
     assert sds[2] == pytest.approx(np.sqrt(0.01**2 * SHARED + 0.003**2), rel=0.01)
 
 
+@pytest.mark.parametrize("sds", [(0.004, 0.004), (0.002, 0.02), (0.004, 0.004, 0.004, *4 * (0.03,)), (0.01, 0.05)])
+def test_a_kind_of_sure_and_of_vague_anchors_errs_as_it_says(sds):
+    """Half of each one's variance is its own; what the others are off by besides is nobody's."""
+    rng, sd = np.random.default_rng(1), np.array(sds)
+    sigmas = []
+    for _ in range(150):
+        off = sd * (np.sqrt(SHARED) * rng.normal() + np.sqrt(1 - SHARED) * rng.normal(size=len(sd)))
+        off += COURT[0].relative_sd * rng.normal()
+        (found,) = evidence_of([vote("c", off[k], sd[k], COURT, at=1e4 * k) for k in range(len(sd))])
+        sigmas.append(np.log(found.value) / found.relative_sd)
+    assert 0.85 < np.sqrt(np.mean(np.square(sigmas))) < 1.15
+
+
+def test_what_only_a_kind_has_in_common_is_no_error_of_the_vehicles():
+    """How high containers are boxed makes them all wrong alike, and leaves the vehicles as sure as they are."""
+    votes = [replace(vote("container", 0.0, 0.004, COURT, at=1e4 * k), kind_sd=0.1) for k in range(9)]
+    (found,) = evidence_of(votes)
+    assert found.relative_sd == pytest.approx(0.1, rel=0.01), "however many there are"
+    assert together(votes).posterior.spread == pytest.approx((SD**-2 + found.relative_sd**-2) ** -0.5, rel=0.02)
+
+
 def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_are():
     """Vehicles and anchors of a model err alike by its ground, by 1 %; a tape does not."""
     kinds = [replace(vote(kind, 0.01, 0.002, COURT), shared_sd=0.01) for kind in ("court", "dashes", "bays")]
@@ -161,6 +182,41 @@ def test_an_odd_one_among_many_does_not_count():
     assert abs(np.log(found.value)) < 0.002 and found.says.startswith("3 of kind tennis court")
     value, low, high = np.log(together(votes).summary)
     assert abs(value) < 0.003 and high < 0.06
+
+
+def test_an_odd_one_does_not_count_however_sure_it_is_to_be_one():
+    votes = [vote("court", x, 0.004, COURT, false=0.0, at=1e4 * k) for k, x in enumerate([0.0, 0.002, -0.001, 0.08])]
+    assert abs(np.log(evidence_of(votes)[0].value)) < 0.002
+
+
+def test_a_likely_mistake_counts_less_in_the_mean_and_a_kind_is_as_sure_as_its_surest():
+    sure, unsure = vote("court", 0.0, 0.01, COURT, false=0.02), vote("court", 0.012, 0.01, COURT, false=0.97, at=1e4)
+    (found,) = evidence_of([sure, unsure])
+    assert 0 < np.log(found.value) < 0.3 * 0.012 and found.doubt == 0.02
+    (found,) = evidence_of([replace(sure, anchor=replace(sure.anchor, false=false)) for false in (0.2, 0.02)])
+    assert found.doubt == 0.02
+
+
+def test_an_anchor_that_is_likely_a_mistake_is_no_vaguer_for_it():
+    (found,) = evidence_of([vote("court", 0.0, 0.02, COURT, false=0.95)])
+    assert found.doubt == 0.95 and found.relative_sd == pytest.approx(np.hypot(0.02, COURT[0].relative_sd))
+
+
+def test_what_is_built_abroad_is_copied_seldom():
+    both = tuple(Standard(f"of {c}", m, 0.001, "s", countries=(c,)) for c, m in (("DE", 2.5), ("US", 2.7)))
+    for country, own in (("DE", 0), ("US", 1)):
+        weight = evidence_of([vote("court", 0.0, 0.003, both)], country)[0].posterior.weight
+        assert weight[own] > 0.9
+
+
+def test_a_rule_that_a_country_seldom_follows_tells_it_as_seldom():
+    """Of the bays there three in ten are as these; the finds that are mistakes tell nothing."""
+    rare, usual = (
+        vote("parking bays", 0.0, 0.003, (Standard("ours", 2.5, 0.001, "s", prior, ("DE",)),)) for prior in (0.3, 1.0)
+    )
+    cars = {"DE": Posterior.normal(0.0, 0.02)}
+    share = country_agreement([rare], cars)["DE"] / country_agreement([usual], cars)["DE"]
+    assert share == pytest.approx(0.3, abs=0.03)
 
 
 def test_what_is_drawn_stands_for_what_is_only_boxed():

@@ -11,9 +11,12 @@ from support.markings import PAINT, picture, stroke
 from support.rails import RUST, SLAB, railway, track
 from support.running import LAWN, RED, running_track
 
+from orthoscale.anchors.combs import Block, comb_anchor
 from orthoscale.anchors.gridiron import Gridirons
 from orthoscale.anchors.ovals import KERB, TrackOvals
-from orthoscale.anchors.rails import HEAD, RailTracks
+from orthoscale.anchors.periods import fit_row
+from orthoscale.anchors.rails import HEAD, RailTracks, Track
+from orthoscale.anchors.repeated import LOCAL_STRETCH
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import holding
 
@@ -50,6 +53,23 @@ def test_the_country_says_which_gauge(gauge, country):
 def test_a_country_may_have_several_gauges(country, gauges):
     metres = sorted(standard.metres - HEAD for standard in holding(RailTracks().standards, country))
     assert metres == pytest.approx(gauges)
+
+
+def test_the_middle_of_the_blocks_is_known_as_well_as_is_said():
+    """A median of normal values scatters by a quarter more than their mean."""
+    rng = np.random.default_rng(0)
+    found = {"rails": [], "lanes": []}
+    middle = np.column_stack([30.0 * np.arange(12), np.zeros(12)])
+    for _ in range(200):
+        apart = 15 + 0.2 * rng.normal(size=12)
+        tracks = Track(middle, np.tile([1.0, 0.0], (12, 1)), apart, np.zeros((12, 2)), np.zeros((12, 3)), 12)
+        found["rails"].append((tracks.distance, tracks.distance_sd))
+        rows = [fit_row(pitch * np.arange(6.0), np.arange(6)) for pitch in apart]
+        blocks = [Block(place, 0.0, row, 1.0) for place, row in zip(middle, rows, strict=True)]
+        lanes = comb_anchor(blocks, "lanes", (), 0.1)
+        found["lanes"].append((lanes.pixels, np.sqrt(lanes.relative_sd**2 - LOCAL_STRETCH**2)))
+    for pixels, sd in (np.transpose(each) for each in found.values()):
+        assert np.std(pixels) / 15 == pytest.approx(np.sqrt(np.mean(sd**2)), rel=0.12)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from support.models import make_model, save
 
 from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
+from orthoscale.core.evidence import Support
 from orthoscale.core.measuring.drift import Drift
 from orthoscale.core.measuring.oblique import height_share
 from orthoscale.core.measuring.parallax import standing
@@ -16,7 +17,7 @@ from orthoscale.core.measuring.systematic import Systematic
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.scale import Scale
-from orthoscale.core.verdicts import UNUSABLE, remark_on_shape, verdict
+from orthoscale.core.verdicts import UNUSABLE, reasons, remark_on_shape, verdict
 from orthoscale.detect.find import Effort
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks
@@ -98,6 +99,32 @@ def test_a_scale_by_a_distance_may_differ_by_all_that_is_not_known_of_the_fleet(
     assert found.sd == pytest.approx(np.sqrt(0.01**2 + 0.04**2 + 2 * 0.015**2))
 
 
+def test_the_same_vehicles_are_no_more_alike_for_being_as_many():
+    """Sampling is each one's own: none of it cancels, and none counts twice."""
+    first, second = (with_parts(0.1, sampling=sampling, fleet=0.03) for sampling in (0.02, 0.03))
+    found = compare({"a": first, "b": second})
+    assert found.sd == pytest.approx(np.sqrt(0.02**2 + 0.03**2 + 2 * 0.015**2))
+
+
+def test_sizes_differ_as_both_scales_weigh_lengths_and_widths():
+    first, second = (replace(scale(0.1, 0.01), weights=weights) for weights in ((1.0, 0.0), (0.6, 0.4)))
+    found = compare({"a": first, "b": second}, np.tile([0.01, 0.06], (9, 1)))
+    assert found.difference == pytest.approx(0.8 * 0.01 + 0.2 * 0.06)
+
+
+def test_of_two_that_contradict_each_other_the_part_is_as_wide_as_the_interval():
+    first, second = scale(0.1, 0.01), scale(0.2, 0.02)
+    both = together(compare({"a": first, "b": second}))
+    assert both.value == 0.1 and both.interval90 == (first.interval90[0], second.interval90[1])
+    assert both.parts == {"conflict": pytest.approx(np.log(both.interval90[1] / both.interval90[0]) / 2 / 1.6449)}
+
+
+def test_of_two_that_rest_on_what_is_not_documented_the_worse_one_is_judged():
+    first, second = (replace(scale(0.1, 0.01), support=Support(unproven=u)) for u in (0.0, 0.05))
+    assert together(compare({"a": first, "b": second})).support.unproven == 0.05
+    assert together(compare({"a": second, "b": first})).verdict == "fair"
+
+
 def test_a_difference_that_is_not_explained_is_the_mixs():
     """DerSimonian and Laird: of what exceeds its own variance, a quarter where both weigh the same."""
     first, second = (with_parts(value, sampling=0.01, fleet=0.03) for value in (0.1, 0.1 * np.exp(0.06)))
@@ -130,6 +157,18 @@ def test_the_pooled_verdict_does_not_depend_on_which_measurement_comes_first():
 def test_the_words_for_a_scale_follow_its_uncertainty(sd, word):
     assert verdict(sd, odd_shape=False, conflict=False) == word
     assert verdict(0.151, odd_shape=False, conflict=False) == verdict(sd, odd_shape=False, conflict=True) != word
+
+
+def test_odd_shapes_lower_a_verdict_by_one_step_and_a_doubt_to_fair():
+    assert [verdict(sd, True, False) for sd in (0.02, 0.05, 0.1, 0.2)] == ["fair", "poor", "poor", UNUSABLE]
+    assert [verdict(sd, False, False, True) for sd in (0.02, 0.05, 0.1)] == ["fair", "fair", "poor"]
+
+
+def test_what_is_too_small_for_a_car_and_what_too_large():
+    """Sizes as logarithms, less the mean of those that count: boxes of half a car, of two, and of a square."""
+    off = np.log([[1.0, 1.0], [0.5, 0.6], [2.0, 1.5], [0.6, 1.5]])
+    told = reasons(np.array([True, False, False, False]), np.arange(4), np.zeros(4, bool), off, np.zeros(2))
+    assert told == ["", "too small for a car", "too large for a car", "wrong shape for a car"]
 
 
 def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():

@@ -11,6 +11,7 @@ import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring import judgement
 from orthoscale.core.measuring.drift import FEWEST, Drift, drift, with_drift
+from orthoscale.core.measuring.surface import Cells, SurfaceFit
 from orthoscale.core.measuring.vehicles import VEHICLE, vehicle_table
 from orthoscale.core.pooling.posterior import Z90
 from orthoscale.core.pooling.robust import pool
@@ -111,11 +112,28 @@ def test_one_judgement_of_drift(p, tilt, drifts):
     assert judgement._places(told).severity == (CAUTION if drifts else SUPPORT)
 
 
+def test_places_of_one_lot_err_alike_and_those_of_others_do_not():
+    place = np.array([[0.0, 0.0], [1000.0, 0.0], [9000.0, 0.0]])
+    cells = Cells(place, place, np.ones(3), np.zeros(3), np.full(3, 0.01), (1.0, 1.0))
+    covariance = cells.covariance(1000.0, 0.02)
+    assert np.diag(covariance) == pytest.approx(0.02**2 + 0.01**2)
+    assert covariance[0, 1] == pytest.approx(0.02**2 / np.e) and covariance[0, 2] < 1e-7
+
+
+def test_cells_that_scatter_less_than_they_may_make_no_drift_surer():
+    """Half a sigma to each end is little, however straight it is."""
+    x = np.linspace(-1, 1, 20)
+    flat, tilted = (SurfaceFit.of(terms, 0.5 * x, np.eye(20)) for terms in (np.ones((20, 1)), np.stack([x**0, x], 1)))
+    assert 0.1 < tilted.p_against(flat) < 0.3
+    assert tilted.covariance[1, 1] == pytest.approx(1 / (x**2).sum())
+
+
 @pytest.mark.parametrize(
     "amplitude, sd, word",
     [
         (0.0, 0.025, "good"),
         (0.04, 0.025, "good"),  # within the interval of 8 %, and 1.2 % of one sigma beside 2.5 %
+        (0.05, 0.020, "good"),  # more than half of it does not exclude each other's scale
         (0.07, 0.025, "fair"),  # 2.0 % and 2.5 % are 3.2 %
         (0.05, 0.010, "fair"),  # 1.4 % and 1.0 % are still good; but the ends exclude each other's scale
         (0.30, 0.025, "poor"),

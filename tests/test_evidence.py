@@ -1,5 +1,6 @@
 """Evidence besides vehicles: combined where it agrees, reported where it does not."""
 
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.stats import t
 
 from orthoscale.core.control import ground_control, known_distance
-from orthoscale.core.evidence import Evidence, combined
+from orthoscale.core.evidence import BY_GPS, Evidence, combined
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
 from orthoscale.core.pooling.anchors import evidence_of
@@ -75,6 +76,52 @@ def test_an_error_that_vehicles_share_hides_no_contradiction_with_them():
     court = Evidence.mixed("court", Posterior.normal(0.12, 0.005), ["a court"], common=0.04)
     found = combined(Posterior.normal(0.0, 0.05), PARTS, [court]).conflict
     assert found == pytest.approx(0.12 / np.hypot(0.03, 0.005))
+
+
+def test_positions_of_which_some_are_mistakes_count_by_their_doubt():
+    """As those of any flight do where a receiver lost its fix for a while."""
+    vehicles, gps = Posterior.normal(0.0, 0.04), Evidence(BY_GPS, 1.03, 0.01, "GPS positions of 18 frames", doubt=0.1)
+    got = combined(vehicles, {"sampling": 0.04}, [gps])
+    assert 1.02 < got.summary[0] < 1.03 and [e.kind for e in got.evidence] == [BY_GPS]
+    assert combined(vehicles, {"sampling": 0.04}, [replace(gps, doubt=0.0)]).posterior.spread < got.posterior.spread
+    (far,) = combined(vehicles, {"sampling": 0.04}, [replace(gps, value=1.5)]).remarks
+    assert "does not count" in far.text
+
+
+@pytest.mark.parametrize("off, helps", [(0.019, True), (0.026, False)])
+def test_what_the_vehicles_exclude_counts_where_something_lies_within_two_sigmas_of_it(off, helps):
+    """An anchor with one sigma of 1 %, just out of the vehicles' reach, and a tape as good as exact, within it."""
+    court = Evidence("court", np.exp(0.365), 0.01, "a court", doubt=0.1)
+    tape = Evidence("tape", np.exp(0.365 - off), 1e-4, "a tape")
+    got = combined(Posterior.normal(0.0, 0.12), {"sampling": 0.12}, [court, tape])
+    assert not got.conflict and any("does not count" in remark.text for remark in got.remarks) != helps
+
+
+def test_a_doubtful_measurement_counts_as_bayes_has_it():
+    """A mixture of what the two say together and of the first alone, by numerical integration."""
+    log = np.linspace(-0.5, 0.5, 200_001)
+    for off, doubt, window in ((0.0, 0.3, 0.4), (0.08, 0.1, 0.4), (0.1, 0.1, 2.0)):
+        first, second = Posterior.normal(0.0, 0.05), Posterior.normal(off, 0.01)
+        bell = np.exp(-0.5 * ((log - off) / 0.01) ** 2) / 0.01 / np.sqrt(2 * np.pi)
+        density = np.exp(-0.5 * (log / 0.05) ** 2) * ((1 - doubt) * bell + doubt / window)
+        found = first.times_doubted(second, doubt, window)
+        assert found.centre == pytest.approx(density @ log / density.sum(), abs=1e-6)
+
+
+def test_a_conflict_of_what_has_two_humps_is_as_wide_as_they_are():
+    """Two kinds of anchors, each of one of two standards, that agree in neither."""
+    half, sd = np.array([0.5, 0.5]), np.array([0.001, 0.001])
+    kinds = [
+        Evidence.mixed(kind, Posterior(half, off * np.array([-1, 1]), sd), "ab")
+        for kind, off in (("a", 0.1), ("b", 0.11))
+    ]
+    got = combined(None, {}, kinds)
+    assert got.conflict and got.posterior.spread >= kinds[0].posterior.spread
+
+
+def test_what_errs_in_common_alone_is_known_no_better_than_that():
+    """Vehicles may be said to be surer than the ground that they stand on."""
+    assert 0 < Posterior.normal(0.0, 0.005).blurred(-(0.01**2)).spread < 0.005
 
 
 def test_in_which_order_evidence_comes_does_not_matter():

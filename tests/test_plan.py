@@ -58,6 +58,16 @@ def scale_of(aspect, heading, believed):
     return measure(PlanGeometry.of(source, found), fleet, Method()).scale
 
 
+def test_the_noise_of_votes_is_a_share_of_the_vehicles_sizes():
+    """As these are what it is pooled with; boxes may be larger by a wide margin."""
+    boxes = Boxes(np.array([[60.0 * k, 60, 48, 21, 0.1 * k] for k in range(9)]), np.full(9, 0.9))
+    source = SimpleNamespace(name="a", width=900, height=99, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
+    found = Detections({"a": boxes}, 1.0, Ruler(margin=(3, 3), noise=(2, 1.2)), (0.7, 0.5), "test")
+    measured = measure(PlanGeometry.of(source, found), load_fleet("DE"), Method())
+    assert measured.size == pytest.approx(np.tile([45.0, 18.0], (9, 1)))
+    assert measured.pooled.noise * measured.size == pytest.approx(np.tile([2.0, 1.2], (9, 1)))
+
+
 def test_a_lot_whose_vehicles_stand_one_way_has_the_same_scale_in_degrees():
     lot = np.full(80, 0.02)
     square, squeezed, unaware = scale_of(1.0, lot, 1.0), scale_of(0.7, lot, 0.7), scale_of(0.7, lot, 1.0)

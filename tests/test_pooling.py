@@ -13,7 +13,7 @@ from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import fit
 from orthoscale.core.pooling.observed import Seen
 from orthoscale.core.pooling.problem import Mix
-from orthoscale.core.pooling.robust import pool
+from orthoscale.core.pooling.robust import pool, vote_noise
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.verdicts import CHECK_LIMIT
 from orthoscale.core.votes import gather
@@ -238,13 +238,15 @@ def test_sizes_drawn_to_the_usual_are_undone_by_what_the_card_says_and_found_whe
 def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usual():
     """Vehicles of 3.9 m are drawn to 4.4 m more or less strongly, those of 4.4 m stay what they are."""
     sure, unsure = replace(RULER, shrink_sd=(0.0, 0.0)), replace(RULER, shrink_sd=(0.2, 0.2))
-    added = {"DE": [], "NP": []}
+    added, sampling = {"DE": [], "NP": []}, []
     for code, seed in itertools.product(added, range(15, 19)):  # the parts of one draw are not the usual ones
         fleet = load_fleet(code)
         votes = scene(np.random.default_rng(seed), fleet, 400, surprise=False)
         known, unknown = (pool(votes, fleet, ruler, "m/px") for ruler in (sure, unsure))
         added[code].append(unknown.parts["margin"] ** 2 - known.parts["margin"] ** 2)
-        assert unknown.parts["sampling"] < 1.2 * known.parts["sampling"], "it is no part that more vehicles shrink"
+        sampling.append([scale.parts["sampling"] for scale in (known, unknown)])
+    before, after = np.mean(sampling, axis=0)
+    assert after < 1.2 * before, "it is no part that more vehicles shrink"
     assert np.mean(added["NP"]) > 3 * max(np.mean(added["DE"]), 1e-7)
 
 
@@ -335,6 +337,15 @@ def test_the_sampling_part_is_what_drawing_the_votes_again_moves():
     assert 0.4 < np.std(again) / whole.parts["sampling"] < 1.5
 
 
+def test_twice_as_many_vehicles_have_a_smaller_sampling_part_where_mixes_are_hardly_told_apart():
+    fleet = load_fleet("DE")
+    few, many = (
+        np.sqrt(np.mean([pool(scene(rng, fleet, n), fleet, RULER, "").parts["sampling"] ** 2 for _ in range(5)]))
+        for n, rng in ((n, np.random.default_rng(n)) for n in (30, 60))
+    )
+    assert many < 0.85 * few
+
+
 def test_more_vehicles_shrink_the_sampling_part_only():
     fleet = load_fleet("DE")
     few, many = (pool(scene(np.random.default_rng(1), fleet, n), fleet, RULER, "m/px") for n in (100, 4000))
@@ -378,6 +389,42 @@ def test_too_few_vehicles_are_refused(n):
     fleet = load_fleet("DE")
     with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles, 5 are needed"):
         pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
+
+
+def test_the_noise_of_a_vote_is_its_boxes_and_its_grounds():
+    """Views lessen the one and not the other."""
+    votes = scene(np.random.default_rng(0), load_fleet("DE"), 9)
+    votes = replace(votes, views=np.full(9, 4), ground=np.full(9, 0.03))
+    assert vote_noise(votes, RULER) == pytest.approx(np.hypot(np.array(RULER.noise) / 2, 0.03 * votes.size))
+
+
+def test_what_lengths_and_widths_err_by_alike_is_left_in_their_mean():
+    votes, fleet = scene(np.random.default_rng(0), load_fleet("DE"), 60), load_fleet("DE")
+    less, more = (
+        pool(votes, fleet, replace(RULER, common_sd=common), "m/px").parts["margin"] ** 2 for common in (0.0, 0.06)
+    )
+    assert more - less == pytest.approx(0.06**2, rel=0.15)
+
+
+@pytest.mark.parametrize("wide", [0.94, 1.06])
+def test_lengths_and_widths_say_each_what_they_say_alone(wide):
+    """Though each is drawn to the other in the answer."""
+    votes, fleet = scene(np.random.default_rng(2), load_fleet("DE"), 8, 0.2, surprise=False), load_fleet("DE")
+    as_they_are, wider = (
+        pool(v, fleet, RULER, "").checks for v in (votes, replace(votes, size=votes.size * (1, wide)))
+    )
+    assert wider["length"] == pytest.approx(as_they_are["length"], rel=0.02)
+    assert wider["width"] / as_they_are["width"] == pytest.approx(1 / wide, rel=0.03)
+
+
+@pytest.mark.parametrize("wide", [0.7, 1.4])
+def test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths_say(wide):
+    """The scale is sought where the lengths have it, not midway to the widths."""
+    fleet, ruler = load_fleet("DE"), replace(RULER, bias_sd=(0.015, 0.25), common_sd=0.0)
+    votes = scene(np.random.default_rng(1), fleet, 150, 0.05, ruler=ruler, surprise=False)
+    scale, other = (pool(v, fleet, ruler, "m/px") for v in (votes, replace(votes, size=votes.size * (1, wide))))
+    assert scale.weights[0] > 0.98
+    assert other.value == pytest.approx(scale.value, rel=0.01) and other.tension < CHECK_LIMIT
 
 
 def test_boxes_without_a_common_scale_are_refused():

@@ -8,6 +8,7 @@ from support.simulate import DENSEUAV, PITCHES, UNIT, Body, car_mesh, found_rule
 from support.simulate import fly as flown
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection import exact
 from orthoscale.core.projection.exact import BEND, BODIES, Hull, ground_size
 from orthoscale.core.projection.height import lean
 from orthoscale.core.projection.planar import footprint
@@ -164,6 +165,27 @@ def test_elevation_and_pixel_size(aside):
     views = Views(np.array([[aside, 0, 10.0]]), np.array([[0, 0, -1.0]]), np.diag([500.0, 500.0])[None])
     assert views.elevation[0] == pytest.approx(np.arctan2(10, aside))
     assert views.unit_per_pixel[0] == pytest.approx(10 / 500)
+
+
+def test_a_longer_lens_from_higher_up_takes_the_same_picture_from_straight_above():
+    views = Views(np.array([[3.0, -2.0, 10.0]]), np.array([[0, 0, -1.0]]), np.diag([500.0, 500.0])[None])
+    longer = views.with_focal(1.2)
+    assert longer.ground[0] == pytest.approx([3.0, -2.0, 12.0]), "the same footprints, by a camera so much higher"
+    assert longer.unit_per_pixel == pytest.approx(views.unit_per_pixel)
+
+
+def test_a_size_that_more_steps_would_change_is_not_told(monkeypatch):
+    """Boxes up to as wide as the camera is far, which hardly any vehicle fills."""
+    rng = np.random.default_rng(0)
+    views = simple_views(rng.uniform([0, 500], [1440, 1080], (400, 2)), (1440, 1080), 1000.0, np.radians(-30), 10.0)
+    length = rng.uniform(1.5, 13.0, 400) * 1000 * np.sin(views.elevation) / 10
+    sides = np.column_stack([length, length * rng.uniform(0.2, 0.9, 400)])
+    boxes = Boxes(np.column_stack([np.zeros((400, 2)), sides, rng.uniform(0, np.pi, 400)]), np.ones(400))
+    told = ground_size(boxes, views, 1.0)
+    monkeypatch.setattr(exact, "ITERATIONS", 60)
+    known = np.isfinite(told).all(1)
+    assert 0.2 < known.mean() < 0.9
+    assert told[known] == pytest.approx(ground_size(boxes, views, 1.0)[known], rel=0.05)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (3.0, 8.0), (0.0, 20.0), (25.0, 15.0), (-1.0, 2.5)])

@@ -80,6 +80,14 @@ def test_a_lot_whose_vehicles_stand_one_way_says_nothing(heading):
     assert squeeze(boxes_in(0.75, 10)) is None, "and few say nothing either"
 
 
+@pytest.mark.parametrize("turned", [4, 10])
+def test_a_few_vehicles_that_stand_across_are_enough(turned):
+    """Of the pictures of known scale the one whose vehicles turn least has 3 of 100 across the others."""
+    heading = np.where(np.arange(100) < turned, np.pi / 2, 0.0)
+    found = squeeze(boxes_in(0.75, 100, 1, heading))
+    assert found is not None and abs(found.log_aspect - np.log(0.75)) < 3 * found.sd
+
+
 @pytest.mark.parametrize(
     "log_aspect, sd, verdict",
     [(0.1, 0.05, "good"), (0.04, 0.01, "good"), (0.15, 0.045, "fair"), (0.2, 0.045, "unusable")],

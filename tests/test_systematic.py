@@ -1,10 +1,18 @@
 """What makes all sizes of one way of measuring err alike, and what of it is left in the mean of two ways."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from orthoscale.core.measuring.measurement import Pooled
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic, of_height
+from orthoscale.core.measuring.ways import united
+from orthoscale.core.pooling.robust import vote_noise
 from orthoscale.core.projection.self_calibration import CORNER, HEIGHT, LEAN, OwnRuler
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 
 CARD = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.25, 0.25), (0.3, 0.3))
 
@@ -23,6 +31,27 @@ def test_the_mean_of_two_ways_errs_as_it_does_when_drawn():
     assert a.mean(b, weight).covariance == pytest.approx(np.cov(mean.T), abs=2e-6)
     crossed = np.cov(one.T, other.T)[[0, 1], [2, 3]]
     assert a.cross(b) == pytest.approx(crossed, abs=4e-6) and a.cross(b)[0] > 0
+
+
+def test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise():
+    """Of the mean of all five the noise counts for a fifth, what each way errs by in full, and the ground for none."""
+    place, ground = 10.0 * np.arange(10).reshape(5, 2), {"ground": np.array([0.05, 0.05])}
+
+    def way(size, own, noise):
+        votes = gather(np.full((5, 2), size), np.ones(5), place, np.ones(5), repeated=False)
+        votes = replace(votes, views=np.full(5, 3))
+        pooled = Pooled(Ruler(), Systematic(np.full(2, own), ground), np.full((5, 2), noise))
+        return SimpleNamespace(
+            votes=votes, size=votes.size, pooled=pooled, scale=SimpleNamespace(used=np.ones(5, bool))
+        )
+
+    votes, ruler, covariance = united(way(10.0, 0.01, 0.10), way(12.0, 0.04, 0.06))
+    alone = np.array([0.01**2 + 0.10**2 / 5, 0.04**2 + 0.06**2 / 5])
+    share = alone[1] / alone.sum()
+    assert votes.size == pytest.approx(np.full((5, 2), 10.0**share * 12.0 ** (1 - share)))
+    assert vote_noise(votes, ruler) / votes.size == pytest.approx(np.full((5, 2), share * 0.10 + (1 - share) * 0.06))
+    apart = (share * 0.01) ** 2 + ((1 - share) * 0.04) ** 2
+    assert covariance == pytest.approx(np.diag([apart, apart]) + 0.05**2)
 
 
 def test_what_only_the_card_tells_of_heights_is_the_same_in_both_ways():

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
 from .repeated import LOCAL_STRETCH
@@ -122,7 +122,7 @@ def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, .
         place=lines.mean((0, 1)),
         lines=lines,
         pixels=pitch(blocks),
-        relative_sd=float(np.hypot(_scatter(period) / np.sqrt(len(period)), LOCAL_STRETCH)),
+        relative_sd=float(np.hypot(OF_MEDIAN * _scatter(period) / np.sqrt(len(period)), LOCAL_STRETCH)),
         residual=np.concatenate([block.row.residual for block in blocks]),
         standards=standards,
         false=false,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
 from .combs import ridge_across
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -105,6 +105,11 @@ class Track:
         """One sigma of the blocks' distances, as a share of their median."""
         return ROBUST_SD * float(np.median(np.abs(self.apart - self.distance))) / self.distance
 
+    @property
+    def distance_sd(self) -> float:
+        """One sigma of `distance`, as a share of it: that of a median of independent blocks."""
+        return OF_MEDIAN * self.scatter / float(np.sqrt(len(self.apart)))
+
     def lines(self) -> np.ndarray:
         """(2 (B - 1), 2, 2) both rails, from block to block [px]."""
         across = np.stack([-self.along[:, 1], self.along[:, 0]], -1) * self.distance / 2
@@ -142,7 +147,7 @@ class RailTracks:
                 false = RAIL_FALSE_WITHOUT
             else:
                 continue
-            sd = float(np.hypot(track.scatter / np.sqrt(len(track.apart)), LOCAL_STRETCH))
+            sd = float(np.hypot(track.distance_sd, LOCAL_STRETCH))
             residual = track.apart - track.distance
             found.append(
                 Anchor(self.kind, track.middle.mean(0), track.lines(), track.distance, sd, residual, meant, false)

@@ -80,7 +80,8 @@ class AnchorVote:
 
     anchor : as its best picture shows it. place : (D,) where it lies, and units : its reference length [source units].
     relative_sd : one sigma of that length, all pictures together; not the standard's own.
-    shared_sd : one sigma of what all anchors of the source err by alike, such as the height of its ground.
+    shared_sd : one sigma of what all anchors of the source err by alike, and its vehicles do: the height of its ground.
+    kind_sd : one sigma of what all of its kind err by alike, and nothing else does: how high they are.
     window : how wide a range of sizes was searched, in logarithms: a mistake may lie anywhere in it.
     views : how many pictures show it.
     """
@@ -90,6 +91,7 @@ class AnchorVote:
     units: float
     relative_sd: float
     shared_sd: float = 0.0
+    kind_sd: float = 0.0
     window: float = 1.0
     views: int = 1
 

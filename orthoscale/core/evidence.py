@@ -90,9 +90,12 @@ class Evidence:
         return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
 
     def only(self, which: np.ndarray) -> Evidence:
-        """The same, restricted to the modes `which` (K,) bool."""
+        """The same, restricted to the modes `which` (K,) bool, some of which must hold."""
+        if self.modes is None:
+            return self
+        modes = self.modes.only(which)
         words = [word for word, keep in zip(self.words, which, strict=True) if keep]
-        return replace(self, modes=self.own.only(which), words=tuple(words))._meaning(self.own.only(which).weight)
+        return replace(self, modes=modes, words=tuple(words))._meaning(modes.weight)
 
     def _meaning(self, likely: np.ndarray) -> Evidence:
         best, modes = int(np.argmax(likely)), self.posterior

@@ -30,7 +30,7 @@ def _entry(vote: AnchorVote, metres_per_unit: float, of_use: bool) -> dict[str, 
     anchor = vote.anchor
     metres = np.array([standard.metres for standard in anchor.standards])
     rule = np.array([standard.relative_sd for standard in anchor.standards])
-    sd = np.sqrt(vote.relative_sd**2 + vote.shared_sd**2 + rule**2)
+    sd = np.sqrt(vote.relative_sd**2 + vote.shared_sd**2 + vote.kind_sd**2 + rule**2)
     off = np.log(metres / vote.units / metres_per_unit) / sd
     share = np.array([standard.prior for standard in anchor.standards]) * np.exp(-0.5 * (off**2 - (off**2).min())) / sd
     best = int(np.argmax(share))

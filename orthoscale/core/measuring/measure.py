@@ -69,7 +69,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         size=vehicles.size,
         projection=geometry.projection,
         found=geometry.findings(seen, vehicles, scale),
-        pooled=Pooled(seen.ruler, seen.systematic, vote_noise(votes, seen.ruler) / votes.size, more),
+        pooled=Pooled(seen.ruler, seen.systematic, vote_noise(votes, seen.ruler) / vehicles.size, more),
     )
 
 

@@ -48,7 +48,8 @@ class Pooled:
     """The inputs of pooling other than the votes, the fleet and the method.
 
     ruler : the part that the votes still contain. systematic : errors common to all sizes, from the source's geometry.
-    noise : (N, 2) relative one-sigmas of the votes. more : evidence on the scale in the boxes themselves.
+    noise : (N, 2) one-sigmas of the votes, as shares of their vehicles' sizes (`Measurement.size`). more : evidence on
+    the scale in the boxes themselves.
     """
 
     ruler: Ruler

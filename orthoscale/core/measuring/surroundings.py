@@ -135,7 +135,7 @@ def objects_in_model(
 def _on_ground(vote: AnchorVote, footing: Footing, unsure: float = 0.0) -> AnchorVote:
     """`vote` with the errors of the ground of `footing`, and one sigma `unsure` that all of its kind share."""
     own = np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0])
-    return replace(vote, relative_sd=float(own), shared_sd=float(np.hypot(footing.shared, unsure)))
+    return replace(vote, relative_sd=float(own), shared_sd=footing.shared, kind_sd=unsure)
 
 
 def _objects(

@@ -10,7 +10,7 @@ from ..evidence import Support
 from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
-from .posterior import ROBUST_SD, Z90
+from .posterior import OF_MEDIAN, ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over one place may differ
@@ -103,7 +103,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
         return Agreement(scales, *apart, *apart)
     each = of_scales(scales, ratio)
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
-    own += 1.57 * spread**2 / len(each)  # of a median
+    own += OF_MEDIAN**2 * spread**2 / len(each)
     difference, sd = float(np.median(each)), float(np.sqrt(own))
     alike = abs(difference) < CONTRADICTION * sd
     mixes = float(np.hypot(a.parts.get("fleet", 0.0), b.parts.get("fleet", 0.0))) if alike else 0.0

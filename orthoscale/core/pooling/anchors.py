@@ -54,6 +54,14 @@ class _Reading:
         likely = self.probability * density
         return likely / (likely + self.mistaken)
 
+    def fit_of_mean(self, member: np.ndarray) -> float:
+        """Variance that the fits leave in the mean of those that are each a `member` (N,) with that probability: what
+        they share stays, what is each one's own falls with their number. A lone anchor has all of its own."""
+        precision = 1 / self.own
+        alone = precision / (member @ precision)  # of each the weight in the mean, if it is a member
+        shared = float(member * alone @ np.sqrt(self.fit)) ** 2
+        return SHARED * shared + (1 - SHARED) * float(member * alone * np.minimum(alone, 1) @ self.fit)
+
     def means(self) -> list[float]:
         """The scales about which anchors agree: means in which each counts by its probability to belong there
         (redescending M-estimates), from every anchor's own on."""
@@ -142,15 +150,14 @@ def _measuring(votes: Sequence[AnchorVote]) -> list[AnchorVote]:
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
     rows, supporters = [], []
+    kind_sd, common = max(vote.kind_sd for vote in votes), max(vote.shared_sd for vote in votes)
     for standard in dict.fromkeys(standard for vote in votes for standard in vote.anchor.standards):
         these = [k for k, vote in enumerate(votes) if standard in vote.anchor.standards]
         reading = _reading([votes[k] for k in these], standard, country)
         for mean in reading.means():
             member = reading.members(mean)
-            number = member.sum()
-            # A lone anchor has all of its variance; what is each one's own falls with their number.
-            fit = float(member @ reading.fit / number) * (SHARED + (1 - SHARED) / max(number, 1.0))
-            rows.append((float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule), standard))
+            variance = reading.fit_of_mean(member) + reading.rule + kind_sd**2
+            rows.append((float(member @ reading.probability * member.sum()), mean, np.sqrt(variance), standard))
             supporters.append([k for k, share in zip(these, member, strict=True) if share > 0.5] or these)
     columns = list(zip(*rows, strict=True))
     weight, means, sds = (np.array(column, float) for column in columns[:3])
@@ -158,7 +165,6 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
     those = [votes[k] for k in supporters[int(np.argmax(weight))]]
     words = [_in_words(kind, [votes[k] for k in s], row[3]) for s, row in zip(supporters, rows, strict=True)]
     doubt, window = min(vote.anchor.false for vote in those), float(np.median([vote.window for vote in those]))
-    common = max(vote.shared_sd for vote in votes)
     found = Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window, common)
     likely = weight > LEAST_WEIGHT
     documented = all(row[3].documented for row, keep in zip(rows, likely, strict=True) if keep)

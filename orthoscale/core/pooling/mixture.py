@@ -91,16 +91,16 @@ def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
     few = [p.of_votes(COARSE_VOTES) for p in problems]
     solved = solve(few, [p.start(p.middle + coarse) for p in problems], COARSE_STEPS)
     some = [p.of_votes(MANY) for p in problems]
-    solved = solve(some, [p.start(_finer(s)) for p, s in zip(problems, solved, strict=True)], FINE_STEPS)
+    solved = solve(some, [p.start(_finer(p, s)) for p, s in zip(problems, solved, strict=True)], FINE_STEPS)
     if problems[0].gap.shape[1] > MANY:
         most = [p.of_votes(MOST_VOTES) for p in problems]
         solved = solve(most, [s.where(s.possible) for s in solved], FINE_STEPS)
     return solved
 
 
-def _finer(solved: Hypotheses) -> np.ndarray:
+def _finer(problem: Problem, solved: Hypotheses) -> np.ndarray:
     """The grid of step FINE about those scales of a coarse one that are possible."""
-    coarse = solved.unknown[solved.possible, :2].mean(1)
+    coarse = solved.unknown[solved.possible, :2] @ problem.weights
     fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE, FINE)
     return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE]
 
@@ -169,7 +169,8 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     many = len(share)
     score = np.zeros((*p.shape, UNKNOWNS + many))
     score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", problem.turn, pull)
-    score[:many, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
+    # No more is believed of the shares than `counts` holds: else guessing would lose more of them than there is.
+    score[:many, :, UNKNOWNS:] = np.sqrt(believed_share(p.shape[1])) * (np.eye(many) - share)[:, None]
     expected = np.einsum("kn,knd->nd", p, score)
     lost = np.tensordot(p[..., None] * score, score, ((0, 1), (0, 1))) - expected.T @ expected
     whole = np.zeros_like(lost)

@@ -10,6 +10,8 @@ from scipy.special import ndtr
 
 Z90 = 1.6449  # two-sided 90 % of a normal distribution, in standard deviations
 ROBUST_SD = 1.4826  # a normal distribution's standard deviation per median absolute deviation
+# A median's standard deviation per that of the mean of as many normal values: the root of pi / 2 (Laplace).
+OF_MEDIAN = 1.2533
 NEGLIGIBLE = 1e-9  # weight of a part, as a share of the largest, below which it is left out
 
 
