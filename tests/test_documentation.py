@@ -164,3 +164,18 @@ def test_the_long_options_that_pages_name_exist():
             assert options <= known, f"{page.name}: orthoscale {line}: {options - known}"
             named += len(options)
     assert named > 80
+
+
+def test_the_container_is_built_of_all_that_the_wheel_is_made_of():
+    """A part that stays outside of the image is missed only when somebody starts it: `orthoscale` would not be found."""
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    made_of = {
+        "pyproject.toml",
+        built["project"]["readme"],
+        *built["project"]["license-files"],
+        *built["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"],
+    }
+    stage = (ROOT / "Containerfile").read_text().partition("RUN ")[0]
+    copied = {word for line in stage.splitlines() if line.startswith("COPY ") for word in line.split()[1:-1]}
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert made_of == copied == let_in
