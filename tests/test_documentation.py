@@ -179,3 +179,12 @@ def test_the_container_is_built_of_all_that_the_wheel_is_made_of():
     copied = {word for line in stage.splitlines() if line.startswith("COPY ") for word in line.split()[1:-1]}
     let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     assert made_of == copied == let_in
+
+
+def test_the_tour_gives_the_figures_of_the_readme():
+    """Of the example that both show: measured anew, it is written anew in both."""
+    (row,) = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("| `examples/town`")]
+    _, _, truth, value, _, interval, vehicles, *_ = (cell.strip() for cell in row.split("|"))
+    tour = (ROOT / "docs/index.md").read_text()
+    assert f"scale      {value} m/px" in tour and f"90 %       {interval} m/px" in tour
+    assert f"vehicles   {vehicles} used" in tour and f"The truth is {100 * float(truth.split()[0]):g} cm" in tour
