@@ -188,3 +188,14 @@ def test_the_tour_gives_the_figures_of_the_readme():
     tour = (ROOT / "docs/index.md").read_text()
     assert f"scale      {value} m/px" in tour and f"90 %       {interval} m/px" in tour
     assert f"vehicles   {vehicles} used" in tour and f"The truth is {100 * float(truth.split()[0]):g} cm" in tour
+
+
+APPLIED = re.compile(r"orthoscale apply (\S+)/sim3\.json .*?--out (\S+)")
+
+
+def test_what_pages_apply_is_not_written_where_the_transform_lies():
+    """Such a command is refused: its output would hold an input."""
+    shown = [*(page.read_text() for page in PAGES), help_of("apply")]
+    told = [found.groups() for text in shown for found in APPLIED.finditer(text)]
+    assert len(told) > 5
+    assert [(model, out) for model, out in told if out.strip("`./") == model] == []
