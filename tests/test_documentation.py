@@ -167,7 +167,7 @@ def test_the_long_options_that_pages_name_exist():
 
 
 def test_the_container_is_built_of_all_that_the_wheel_is_made_of():
-    """A part that stays outside of the image is missed only when somebody starts it: `orthoscale` would not be found."""
+    """A part that stays outside of the image is missed only when somebody starts it."""
     built = tomllib.loads((ROOT / "pyproject.toml").read_text())
     made_of = {
         "pyproject.toml",

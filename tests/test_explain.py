@@ -52,7 +52,8 @@ def test_the_distance_that_it_names_halves_it_where_it_is_read_in_a_picture(gsd,
     """Reading 20 m in a picture of 0.3 m/px costs 1.1 %: of a scale known to 2.4 % they would leave more than half."""
     found = explain({**REPORT, "scale": gsd, "uncertainty": {"fleet": sd}})
     metres, known = map(float, re.search(r"([\d.]+) m known to (\d+) cm", found["halve"]).groups())
-    given = known_distance(np.array([[0.0, 0.0], [metres / gsd, 0.0]]), metres, known / 100, "", np.sqrt(2) * READING_SD)
+    ends = np.array([[0.0, 0.0], [metres / gsd, 0.0]])
+    given = known_distance(ends, metres, known / 100, read_sd=np.sqrt(2) * READING_SD)
     assert 1 / np.sqrt(1 / sd**2 + 1 / given.relative_sd**2) == pytest.approx(sd / 2, rel=0.02)
 
 
