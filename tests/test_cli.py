@@ -194,6 +194,15 @@ def test_fleets_are_listed():
     assert run("fleets", "atlantis").returncode == 2
 
 
+def test_a_fleet_of_no_year_is_listed_without_one(tmp_path):
+    """A register tells none."""
+    (tmp_path / "register.csv").write_text("make,model,count\nFord,F-150,3000\n")
+    made = run("fleets", "--registrations", tmp_path / "register.csv", "--out", tmp_path / "district.json")
+    assert made.returncode == 0, made.stderr
+    assert run("fleets", tmp_path / "district.json").stdout.startswith("district: vehicles of register.csv\n")
+    assert run("fleets", "JP").stdout.startswith("JP: Japan, passenger cars, 2022\n")
+
+
 @pytest.mark.slow
 def test_importing_costs_nothing():
     code = (

@@ -182,6 +182,8 @@ def test_the_fleet_that_a_photos_place_chooses_is_told(tmp_path):
         ("none.jpg", "sat.tif", ["--gsd", 0.05], 5, "none.jpg"),
         ("a.jpg", "sat.tif", [], 5, "no focal length"),
         ("a.jpg", "sat.tif", ["--focal-px", 900, "--detections", "few.json"], 3, "--gsd"),
+        ("a.jpg", "sat.tif", ["--gsd", 0.05, "--fleet", "DE"], 2, "--fleet does nothing here"),
+        ("a.jpg", "sat.tif", ["--gsd", 0.05, "--lens", "few.json"], 2, "Remove --lens."),
     ],
 )
 def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, monkeypatch, photo, sky, options, code, word):

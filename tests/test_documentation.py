@@ -164,3 +164,38 @@ def test_the_long_options_that_pages_name_exist():
             assert options <= known, f"{page.name}: orthoscale {line}: {options - known}"
             named += len(options)
     assert named > 80
+
+
+def test_the_container_is_built_of_all_that_the_wheel_is_made_of():
+    """A part that stays outside of the image is missed only when somebody starts it."""
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    made_of = {
+        "pyproject.toml",
+        built["project"]["readme"],
+        *built["project"]["license-files"],
+        *built["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"],
+    }
+    stage = (ROOT / "Containerfile").read_text().partition("RUN ")[0]
+    copied = {word for line in stage.splitlines() if line.startswith("COPY ") for word in line.split()[1:-1]}
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert made_of == copied == let_in
+
+
+def test_the_tour_gives_the_figures_of_the_readme():
+    """Of the example that both show: measured anew, it is written anew in both."""
+    (row,) = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("| `examples/town`")]
+    _, _, truth, value, _, interval, vehicles, *_ = (cell.strip() for cell in row.split("|"))
+    tour = (ROOT / "docs/index.md").read_text()
+    assert f"scale      {value} m/px" in tour and f"90 %       {interval} m/px" in tour
+    assert f"vehicles   {vehicles} used" in tour and f"The truth is {100 * float(truth.split()[0]):g} cm" in tour
+
+
+APPLIED = re.compile(r"orthoscale apply (\S+)/sim3\.json .*?--out (\S+)")
+
+
+def test_what_pages_apply_is_not_written_where_the_transform_lies():
+    """Such a command is refused: its output would hold an input."""
+    shown = [*(page.read_text() for page in PAGES), help_of("apply")]
+    told = [found.groups() for text in shown for found in APPLIED.finditer(text)]
+    assert len(told) > 5
+    assert [(model, out) for model, out in told if out.strip("`./") == model] == []

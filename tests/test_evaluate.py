@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -193,6 +194,8 @@ def test_the_command_writes_tables_of_everything(folders, tmp_path):
     assert len(list(csv.DictReader((tmp_path / "a.csv").open()))) == text["photos"] == 4
     ratios = {(a["min_score"], a["min_vehicles"]): a["used_ratio"] for a in text["ablations"] if a["method"] == "exact"}
     assert ratios[0.5, 5] == 1 and ratios[0.8, 5] == 1
+    assert re.search(r"^exact: .* at least so many vehicles; it needs 5 in any case$", done.stdout, re.M)
+    assert re.search(r"^paper: .* at least so many vehicles$", done.stdout, re.M), "it takes one, too"
     biases = {(s["wrong"], s["by"]): s["bias"] for s in text["sensitivity"] if s["method"] == "exact"}
     right = biases["focal", 0.0]
     assert right == biases["pitch_deg", 0.0]

@@ -1,11 +1,13 @@
 """What a report says of its uncertainty, in words and in numbers."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 from support.in_process import run
 
+from orthoscale.core.control import READING_SD, known_distance
 from orthoscale.errors import InputError
 from orthoscale.report.explanation import explain, in_words
 
@@ -40,9 +42,25 @@ def test_what_is_known_to_a_centimetre_gets_no_advice_to_know_it_to_less():
 
 
 def test_the_distance_that_it_names_does_halve_it():
-    found = explain(REPORT)
+    found = explain({**REPORT, "unit": "m/model-unit"})
     assert "good to 4.0 %" in found["halve"] and "20 m known to 81 cm" in found["halve"]
     assert 1 / np.sqrt(1 / 0.07**2 + 1 / 0.0404**2) == pytest.approx(0.035, rel=1e-3)
+
+
+@pytest.mark.parametrize("gsd, sd", [(0.05, 0.07), (0.3, 0.07), (0.3, 0.024), (0.1, 0.009)])
+def test_the_distance_that_it_names_halves_it_where_it_is_read_in_a_picture(gsd, sd):
+    """Reading 20 m in a picture of 0.3 m/px costs 1.1 %: of a scale known to 2.4 % they would leave more than half."""
+    found = explain({**REPORT, "scale": gsd, "uncertainty": {"fleet": sd}})
+    metres, known = map(float, re.search(r"([\d.]+) m known to (\d+) cm", found["halve"]).groups())
+    ends = np.array([[0.0, 0.0], [metres / gsd, 0.0]])
+    given = known_distance(ends, metres, known / 100, read_sd=np.sqrt(2) * READING_SD)
+    assert 1 / np.sqrt(1 / sd**2 + 1 / given.relative_sd**2) == pytest.approx(sd / 2, rel=0.02)
+
+
+def test_what_stands_below_is_spoken_of_only_where_something_does():
+    found = explain({**REPORT, "fleet": "DE", "uncertainty": {"lane dashes": 0.03}})
+    assert not found["remedies"] and "below" not in found["halve"]
+    assert "nothing below would do so alone" in explain({**REPORT, "fleet": "DE"})["halve"]
 
 
 def test_remedies_leave_what_they_say():

@@ -402,6 +402,7 @@ def test_opinions_that_agree_are_pooled():
     (("--prior", "20,40,100"), "lies outside of map.tif"),
     (("--heading", "north"), "neither degrees nor 'search'"),
     (("--gsd", "0"), "--gsd must be a positive number"),
+    (("--fleet", "DE"), "--fleet does nothing here: --gsd says how large a pixel is"),
     (("--embedding-map", "x.onnx"), "second of two networks"),
     (("--method", "retrieval"), "needs a network"),
 ])  # fmt: skip

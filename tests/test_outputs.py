@@ -19,6 +19,7 @@ from support.pictures import squares
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
 from orthoscale.core.claims import own_claim
+from orthoscale.core.evidence import Evidence
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.report.document import pixel_size
@@ -318,6 +319,17 @@ def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
     claims = [SimpleNamespace(gsd_m=gsd, usable=True, unit_known=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
     found = [own_claim(SimpleNamespace(claimed=claim), scale).verdict for claim in claims]
     assert found == ["doubtful", "agrees", "agrees", "doubtful"]
+
+
+@pytest.mark.parametrize(
+    "kinds, by",
+    [([], "vehicles"), (["map"], "vehicles and map"), (["map", "bays", "dashes"], "vehicles, map, bays and dashes")],
+)
+def test_what_a_claim_is_compared_with_is_named_as_people_list_things(kinds, by):
+    scale = Scale(0.10, "m/px", (0.09, 0.11), dict.fromkeys(["sampling", *kinds], 0.05), {}, (9, 0), 0.0, "DE", "fair",
+                  np.ones(9, bool), [], evidence=tuple(Evidence(kind, 0.1, 0.05, "") for kind in kinds))  # fmt: skip
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.1, usable=True, unit_known=True, why=""))
+    assert own_claim(claim, scale).by == by
 
 
 def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():

@@ -1,6 +1,7 @@
 """The library's own doors: what a notebook or a script sees."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -13,6 +14,23 @@ from support.reports import car_park, fixed, fixed_model
 import orthoscale
 from orthoscale.errors import EvidenceDisagrees
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.requests import EstimateOptions, FixOptions
+
+
+@pytest.mark.parametrize(
+    "told, options",
+    [
+        (orthoscale.estimate.__doc__, EstimateOptions.__annotations__),
+        (orthoscale.fix.__doc__, FixOptions.__annotations__.keys() - EstimateOptions.__annotations__.keys()),
+    ],
+)
+def test_each_option_is_told_in_the_functions_own_words(told, options):
+    assert [name for name in options if not re.search(rf"\b{name}\b", told)] == []
+
+
+def test_the_default_fleet_is_told_as_it_is_chosen():
+    """`estimate --help` says the same; see `sources.country.fleet_at`."""
+    assert "where the input lies, else ``world``" in orthoscale.estimate.__doc__
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import orthoscale
 from orthoscale import requests
 from orthoscale.actions.fix import REPORT_FILES
 from orthoscale.cli.main import COMMANDS, cli
-from orthoscale.cli.photo_options import LENS_NAMES
+from orthoscale.cli.photo_options import LENS_FLAGS
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
 from orthoscale.report.extras import WRITERS
@@ -158,7 +158,7 @@ def test_no_option_of_any_command_is_unknown_to_its_function(name):
         | {"fleet", "gsd", "local_fleet"}
     )
     known |= {"paths", "summary", "jobs"}  # of `cli.many.inputs`
-    known |= set(LENS_NAMES)  # of `cli.photo_options.lens_options`
+    known |= set(LENS_FLAGS)  # of `cli.photo_options.lens_options`
     assert {option.name for option in command.params if option.expose_value} <= known
 
 

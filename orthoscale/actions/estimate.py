@@ -74,12 +74,14 @@ def estimate(
     path : of the input, or a source that `open_source` opened. progress : told what is done, (what, done, total).
 
     Where the vehicles' boxes come from
-    fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
+    fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else that of the country
+    where the input lies, else ``world``.
     detections : boxes from a file instead of the detector; see `formats.detections` for them.
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
     measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
+    fast : both detection passes over an orthophoto by the small detector.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.

@@ -18,7 +18,7 @@ from ..locate.features import Features, GradientFeatures
 from ..locate.files import write
 from ..locate.outcome import LocateOutcome, document
 from ..locate.register import Known, PlaceFinder, register
-from ..photos.looking import Looking
+from ..photos.looking import WITH_GSD, Looking
 from ..photos.measure import find_photos
 from ..sources.satellite import Satellite
 
@@ -57,8 +57,8 @@ class LocateRequest:
             raise UsageError(f"--embedding does nothing with --method {self.method}", "Take --method retrieval.")
         if self.embedding is None and self.method == "retrieval":
             raise UsageError("--method retrieval needs a network", "Give it: --embedding NET.onnx.")
-        if self.gsd is not None and self.looking.settings():
-            raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the detector's options.")
+        if self.gsd is not None:
+            self.looking.refuse_others((), WITH_GSD)
         self.heading_rad(None)
 
     def heading_rad(self, told: float | None) -> float | None:

@@ -21,7 +21,7 @@ from .options import (
     progress_bars,
     say,
 )
-from .photo_options import lens_options
+from .photo_options import LENS_FLAGS, lens_options
 
 
 @command(
@@ -75,12 +75,14 @@ def crop(
     from ..errors import UsageError
     from ..photos import crop as cropping
     from ..photos.footprint import footprint_of
-    from ..photos.looking import Looking
+    from ..photos.looking import WITH_GSD, Looking
     from ..system.outputs import Outputs
 
     how = Looking.of(looking)
-    if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
-        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the other options.")
+    if gsd is not None:
+        how.refuse_others((), WITH_GSD)
+        for told in (LENS_FLAGS[name] for name, value in lens.items() if value is not None):
+            raise UsageError(f"{told} does nothing here: {WITH_GSD}", f"Remove {told}.")
     place = _place(at)
     with Outputs(overwrite, (path, satellite, lens["lens_file"], how.inputs)) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)

@@ -122,7 +122,7 @@ def _in_short(fleet: Fleet) -> str:
 def _in_full(fleet: Fleet) -> str:
     """A table of the classes: means with the spread between vehicles, and how well the mean length is known."""
     lines = [
-        f"{fleet.code}: {fleet.name}, {fleet.year}",
+        f"{fleet.code}: {fleet.name}" + (f", {fleet.year}" if fleet.year else ""),
         f"  {'class':22s} {'share':>6s}   {'length':>11s}  {'width':>11s}  {'height':>11s} m   length known to",
     ]
     for c in fleet.every_class:

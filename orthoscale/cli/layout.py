@@ -32,14 +32,14 @@ from .options import (
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)
 @option("--lot", type=PATH, group="Input", help="Polygon to build on: GeoJSON, GeoPackage, Shapefile ...")
-@option("--lot-pixels", is_flag=True, group="Input", help="Coordinates are columns and rows of the picture.")
+@option("--lot-pixels", is_flag=True, group="Input", help="Coordinates, X and Y too, are columns and rows.")
 @option(
     "--facility",
     "facilities",
     multiple=True,
     metavar="CODE",
     group="Input",
-    help="CODE, CODE:COUNT or CODE@X,Y,BEARING; repeatable.",
+    help="CODE, CODE:COUNT or CODE@X,Y,BEARING, with X and Y in the orthophoto's coordinates; repeatable.",
 )
 @option("--avoid", type=PATH, group="Input", help="Polygons to keep free: trees, buildings, water.")
 @option("--catalogue", type=PATH, group="Input", help="More facilities, from a JSON file.")
@@ -50,14 +50,14 @@ from .options import (
     show_default=True,
     metavar="M",
     group="Input",
-    help="Distance between neighbours.",
+    help="Distance to neighbours, to the lot's edge and to --avoid.",
 )
 @option(
     "--scale-error",
     type=float,
     metavar="PERCENT",
     group="Input",
-    help="Half of the scale's 90 % interval, if there is no report.",
+    help="Half of the scale's 90 % interval, instead of the report's.",
 )
 @option("--out", type=PATH, group="Output", help="Folder to write.")
 @option("--list", "list_them", is_flag=True, group="Output", help="List the facilities with their sources, and stop.")

@@ -34,7 +34,7 @@ LENS = (
 )
 
 
-LENS_NAMES = ("focal_px", "lens_file", "pitch", "roll")
+LENS_FLAGS = {"focal_px": "--focal-px", "lens_file": "--lens", "pitch": "--pitch", "roll": "--roll"}
 
 
 def lens_options(function: Callable) -> Callable:
@@ -43,7 +43,7 @@ def lens_options(function: Callable) -> Callable:
 
     @wraps(function)
     def gathered(**given: Any) -> Any:
-        return function(lens={name: given.pop(name) for name in LENS_NAMES}, **given)
+        return function(lens={name: given.pop(name) for name in LENS_FLAGS}, **given)
 
     for each in reversed(LENS):
         gathered = each(gathered)

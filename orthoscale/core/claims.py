@@ -177,4 +177,5 @@ def _known_by(scale: Scale) -> str:
     """What `scale` rests on, for people."""
     by = ["vehicles"] if scale.vehicles_used else []
     by += dict.fromkeys(e.kind for e in scale.evidence if e.kind in scale.parts)
-    return " and ".join(by)
+    *most, last = by or [""]
+    return f"{', '.join(most)} and {last}" if most else last

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .control import READING_SD
 from .fleet import WORLD
 
 MEANINGS = {
@@ -28,7 +29,9 @@ OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of 
 COUNTRY_SHARE = 0.5
 NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
 FINEST = 5e-4  # of a distance, the least one sigma that is asked for: 1 cm in KNOWN_METRES
-KNOWN_METRES = 20.0  # [m] the length of the distance that is given as an example
+# [m] the length of the distance that is given as an example: as long, or in coarse pictures the least multiple of it of
+# which reading the two points takes half of the sigma at most.
+KNOWN_METRES = 20.0
 
 
 @dataclass(frozen=True)
@@ -60,9 +63,10 @@ class Explanation:
     halve: str
 
 
-def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str) -> Explanation:
+def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: float = 0.0) -> Explanation:
     """From the `parts` of a scale's uncertainty (relative one-sigmas), its vehicles, and the code of its fleet.
 
+    pixel : of a picture in which distances are read [m]; 0 where they are told in coordinates.
     Raises ValueError where nothing is uncertain.
     """
     variance = float(sum(sd**2 for sd in parts.values()))
@@ -92,10 +96,10 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str) -> Expla
         if share.get(name, 0) > NOTABLE_SHARE
     ]
     remedies.sort(key=lambda remedy: remedy.leaves)
-    return Explanation(total, named, tuple(remedies), _halve(variance, parts.get("drift", 0.0), remedies))
+    return Explanation(total, named, tuple(remedies), _halve(variance, parts.get("drift", 0.0), remedies, pixel))
 
 
-def _halve(variance: float, drift: float, remedies: list[Remedy]) -> str:
+def _halve(variance: float, drift: float, remedies: list[Remedy], pixel: float) -> str:
     """A measurement with sd s leaves 1 / (1 / v + 1 / s^2) of a variance v, but does not straighten what drifts: of the
     rest of the variance, v, a quarter of the whole less that of the drift may be left."""
     total = np.sqrt(variance)
@@ -107,6 +111,10 @@ def _halve(variance: float, drift: float, remedies: list[Remedy]) -> str:
     needed = float(1 / np.sqrt(1 / left - 1 / rest))
     if needed < FINEST:
         return "It is known as well as things can be read in pictures: no known distance would halve it."
-    across = f"{KNOWN_METRES:g} m known to {100 * KNOWN_METRES * needed:.0f} cm"
+    reading = np.sqrt(2) * READING_SD * pixel
+    metres = KNOWN_METRES * max(np.ceil(2 * reading / needed / KNOWN_METRES), 1)
+    across = f"{metres:g} m known to {100 * np.sqrt((metres * needed) ** 2 - reading**2):.0f} cm"
     halve = f"A known distance good to {100 * needed:.1f} % would halve it ({across}: --known-distance)"
+    if not remedies:
+        return halve + "."
     return halve + (f"; so would this alone: {best}." if best else "; nothing below would do so alone.")

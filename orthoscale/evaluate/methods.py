@@ -81,5 +81,6 @@ def by_depth(depths: Depths, refused: Counter[str]) -> Method:
     return estimate
 
 
+EXACT = "exact"
 BY_DEPTH = "depth"
-METHODS: dict[str, Method] = {"exact": exact, "paper": paper(TEXT), "program": paper(PROGRAM)}
+METHODS: dict[str, Method] = {EXACT: exact, "paper": paper(TEXT), "program": paper(PROGRAM)}

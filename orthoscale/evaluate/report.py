@@ -20,7 +20,7 @@ from ..photos.depth.maps import Depths
 from ..system.signatures import has_header
 from ..version import __version__
 from . import score
-from .methods import BY_DEPTH, METHODS, by_depth
+from .methods import BY_DEPTH, EXACT, METHODS, by_depth
 from .readers import Sample, read_samples
 
 LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `evaluate.locating`
@@ -132,7 +132,8 @@ def _ablation_table(text: dict[str, Any], method: str) -> list[str]:
     mine = [a for a in text.get("ablations", []) if a["method"] == method]
     if not mine:
         return []
-    lines = ["", f"{method}: MAPE (used ratio) by score above, and at least so many vehicles"]
+    in_any_case = f"; it needs {MIN_VEHICLES} in any case" if method == EXACT else ""
+    lines = ["", f"{method}: MAPE (used ratio) by score above, and at least so many vehicles{in_any_case}"]
     lines.append(f"{'':8s}" + "".join(f"{count:>16d}" for count in score.VEHICLE_COUNTS))
     for min_score in score.SCORES:
         row = [a for a in mine if a["min_score"] == min_score]

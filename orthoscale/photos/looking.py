@@ -20,6 +20,8 @@ from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
+WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why what says how to measure does nothing
+
 
 @dataclass(frozen=True, kw_only=True)
 class Looking(PhotoRequest):

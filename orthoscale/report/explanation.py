@@ -8,6 +8,7 @@ from typing import Any
 
 from ..core import uncertainty
 from ..core.remarks import percent
+from ..core.scale import PER_PIXEL
 from ..errors import InputError
 from ..formats.reading import reason
 
@@ -27,7 +28,7 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"not a report of orthoscale: {reason(error)}", REPORT_WANTED) from error
     try:
-        found = asdict(uncertainty.explain(parts, used, fleet))
+        found = asdict(uncertainty.explain(parts, used, fleet, scale if unit == PER_PIXEL else 0.0))
     except ValueError as error:
         raise InputError(f"the report is of no use here: {error}", REPORT_WANTED) from error
     return {"scale": scale, "unit": unit, "verdict": str(report.get("verdict", "")), **found, "remarks": said}
