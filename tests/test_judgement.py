@@ -13,7 +13,7 @@ from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
 from orthoscale.core.pooling.agreement import Agreement
-from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark
+from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark, amount
 from orthoscale.core.scale import PER_PIXEL
 from orthoscale.core.verdicts import remark_on_shape
 
@@ -174,3 +174,16 @@ def test_what_was_found_in_opening_the_source_is_a_check_too(measured):
     assert any(check.detail == said.text for check in judgements(measured, None, [*measured.remarks, said]))
     assert not any(check.detail == said.text for check in judgements(measured))
     assert judgements(measured, None, [*measured.remarks, Remark(INFO, "copied")]) == judgements(measured)
+
+
+@pytest.mark.parametrize(
+    ("number", "what", "said"),
+    [
+        (1, "usable vehicles", "1 usable vehicle"),
+        (0, "usable vehicles", "0 usable vehicles"),
+        (1, "boxes do not count: no vehicle in them", "1 box does not count: no vehicle in it"),
+        (1234, "boxes do not count", "1,234 boxes do not count"),
+    ],
+)  # fmt: skip
+def test_one_is_not_said_as_several(number, what, said):
+    assert amount(number, what) == said

@@ -13,6 +13,20 @@ INFO = "info"  # what was chosen or could not be done; says neither
 SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are read
 
 
+ONE = {  # what is said of one thing, by what is said of several
+    "vehicles": "vehicle",
+    "boxes": "box",
+    "do": "does",
+    "them": "it",
+}
+
+
+def amount(number: int, what: str) -> str:
+    """`number` and `what`, which is said of several: "4 usable vehicles", but "1 usable vehicle"."""
+    words = what.split(" ") if number != 1 else [ONE.get(word, word) for word in what.split(" ")]
+    return " ".join([f"{number:,}", *words])
+
+
 @dataclass(frozen=True)
 class Remark:
     """severity : one of SEVERITIES. text : one sentence without its full stop. hint : what to do, of refusals."""

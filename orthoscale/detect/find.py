@@ -14,6 +14,7 @@ from ..core.boxes import Boxes
 from ..core.confirmed import seldom_confirmed
 from ..core.detections import Detections, Tile
 from ..core.equal_sizes import all_alike, more_of_the_same
+from ..core.remarks import amount
 from ..core.source import Picture
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
@@ -166,7 +167,7 @@ def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.n
             boxes[name], aside[name] = seen[~out], seen[out]
     if not aside:
         return found
-    note = f"{sum(map(len, aside.values()))} boxes do not count: {why}"
+    note = f"{amount(sum(map(len, aside.values())), 'boxes do not count')}: {why}"
     return replace(found.setting_aside(why, aside), boxes=boxes, notes=(*found.notes, note))
 
 

@@ -19,7 +19,7 @@ from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
 from ..core.pooling.posterior import ROBUST_SD
 from ..core.progress import Progress
-from ..core.remarks import signed
+from ..core.remarks import amount, signed
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from .cache import Kept, as_text, content_key
@@ -112,7 +112,7 @@ def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction) -> Itera
     """What measuring changed, for the report. no_vehicles : boxes that do not count any more. too_large : (2,) log of
     what was taken off dark vehicles. enlarged : by how much the pictures had been."""
     if no_vehicles:
-        yield f"{no_vehicles} boxes do not count: the measurer saw no vehicle in them"
+        yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     if too_large.any():
         length, width = signed(np.expm1(too_large[0])), signed(np.expm1(too_large[1]))
         yield f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off"

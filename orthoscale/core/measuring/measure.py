@@ -12,6 +12,7 @@ from ..anchors import AnchorVote
 from ..detections import UNCONFIRMED, Detections
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES, vote_noise
+from ..remarks import amount
 from ..votes import gather
 from .geometry import Geometry
 from .measurement import Measurement, Pooled, tight
@@ -29,13 +30,15 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
     method = method or Method()
     boxes = geometry.boxes
     if len(boxes) < MIN_VEHICLES:
-        raise TooLittleEvidence(f"{len(boxes)} {geometry.called}, {MIN_VEHICLES} are needed")
+        raise TooLittleEvidence(f"{amount(len(boxes), geometry.called)}, {MIN_VEHICLES} are needed")
     metres_per_unit = float(fleet.mean[0] / geometry.typical_length)
     for _ in range(geometry.rounds):
         seen = geometry.observe(metres_per_unit)
         solved = seen.solved
         if solved.sum() < MIN_VEHICLES:
-            raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {MIN_VEHICLES} are needed")
+            raise TooLittleEvidence(
+                f"{amount(int(solved.sum()), 'boxes')} that a vehicle explains, {MIN_VEHICLES} are needed"
+            )
         own = boxes[solved]
         votes = gather(
             seen.size[solved],

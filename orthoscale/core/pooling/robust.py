@@ -22,7 +22,7 @@ from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..evidence import Evidence, combined
 from ..fleet import Fleet
-from ..remarks import INFO, Remark
+from ..remarks import INFO, Remark, amount
 from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
@@ -89,7 +89,7 @@ def pool(
     fleeting = votes.fleeting
     measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
     if measurable.sum() < MIN_VEHICLES:
-        raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
+        raise TooLittleEvidence(f"{amount(int(measurable.sum()), 'usable vehicles')}, {MIN_VEHICLES} are needed")
     index = np.flatnonzero(measurable)
     index = index[np.lexsort(size[index].T[::-1])]  # some stages take each so many-th: by size, whatever the order
     size = size[index]
