@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,76 +35,124 @@ def _lines(site: Site, low: float, high: float) -> list[tuple[float, float]]:
     return lines
 
 
-def _street(site: Site, at: float, width: float, upright: bool) -> float:
-    """A street through the whole scene, along x or (`upright`) along y.
+@dataclass(frozen=True)
+class _Street:
+    """A street through the whole site, along x or (`upright`) along y, whose middle lies `at` across. Its methods take
+    places along it and across from its middle [m]. walk : width of its pavements."""
 
-    Returns the width that it takes with pavements and bays.
-    """
-    rng, reach, half = site.rng, site.reach, width / 2
+    site: Site
+    at: float
+    width: float
+    upright: bool
+    walk: float
 
-    def place(along: float, across: float, heading: float = 0.0) -> tuple[float, float, float]:
-        return (across + at, along, np.pi / 2 - heading) if upright else (along, across + at, heading)
+    @property
+    def half(self) -> float:
+        return self.width / 2
 
-    def lay(along: Span, across: Span, layer: int, surface: Surface) -> None:
-        across = min(across) + at, max(across) + at
-        site.lay(*((across, along) if upright else (along, across)), layer, surface)
+    @property
+    def whole(self) -> Span:
+        return -self.site.reach, self.site.reach
 
-    whole, walk = (-reach, reach), rng.uniform(1.5, 3.5)
-    paved = site.road[0].endswith("asphalt")
-    if paved:
-        lay(
-            whole,
-            (-half - walk, half + walk),
-            1,
-            pick(rng, [site.concrete, site.stones, site.ground], [0.4, 0.4, 0.2]),
-        )
-        lay(whole, (-half - 0.15, half + 0.15), 2, ("plain", (0.4, 0.39, 0.37)))
-    lay(whole, (-half, half), 3, site.road)
-    for s in rng.uniform(*whole, rng.poisson(reach / 12)):  # repairs
-        across, size = rng.uniform(-half + 1, half - 1), rng.uniform(0.3, 3)
-        tone = np.asarray(site.road[1]) * rng.uniform(0.55, 1.25)
-        lay((s, s + size), (across - 0.4, across + 0.4 + size / 6), 5, (site.road[0], tone))
-    for s in rng.uniform(*whole, rng.poisson(reach / 30)):  # manholes
-        x, y, _ = place(s, -width / 4)
-        site.add(patch(disc(0.33), 0.005, "plain", (0.05, 0.05, 0.05)), x, y)
-    parking = pick(rng, ["parallel", "perpendicular", "none"], [0.6, 0.15, 0.25])
-    lane = half - 2.1 if parking == "parallel" and width > 8 else half
-    marked = paved and rng.random() < 0.75
-    if marked:
+    @property
+    def paved(self) -> bool:
+        return self.site.road[0].endswith("asphalt")
+
+    def somewhere(self, apart: float) -> np.ndarray:
+        """Random places along it, on average `apart` metres from one another."""
+        rng = self.site.rng
+        return np.asarray(rng.uniform(*self.whole, rng.poisson(self.site.reach / apart)))
+
+    def place(self, along: float, across: float, heading: float = 0.0) -> tuple[float, float, float]:
+        """x, y and heading on the site."""
+        if self.upright:
+            return across + self.at, along, np.pi / 2 - heading
+        return along, across + self.at, heading
+
+    def lay(self, along: Span, across: Span, layer: int, surface: Surface) -> None:
+        """Cover a rectangle of it."""
+        across = min(across) + self.at, max(across) + self.at
+        self.site.lay(*((across, along) if self.upright else (along, across)), layer, surface)
+
+    def pave(self) -> None:
+        """Pavements and road, with repairs and manholes."""
+        site, rng, half = self.site, self.site.rng, self.half
+        if self.paved:
+            pavement = pick(rng, [site.concrete, site.stones, site.ground], [0.4, 0.4, 0.2])
+            self.lay(self.whole, (-half - self.walk, half + self.walk), 1, pavement)
+            self.lay(self.whole, (-half - 0.15, half + 0.15), 2, ("plain", (0.4, 0.39, 0.37)))
+        self.lay(self.whole, (-half, half), 3, site.road)
+        for s in self.somewhere(12):
+            across, size = rng.uniform(-half + 1, half - 1), rng.uniform(0.3, 3)
+            tone = np.asarray(site.road[1]) * rng.uniform(0.55, 1.25)
+            self.lay((s, s + size), (across - 0.4, across + 0.4 + size / 6), 5, (site.road[0], tone))
+        for s in self.somewhere(30):
+            x, y, _ = self.place(s, -self.width / 4)
+            site.add(patch(disc(0.33), 0.005, "plain", (0.05, 0.05, 0.05)), x, y)
+
+    def mark(self, lane: float) -> None:
+        """Dashes along the middle, perhaps lines where the lanes end, `lane` from the middle, and zebra crossings."""
+        rng, half = self.site.rng, self.half
         dash, gap = pick(rng, [(3.0, 4.5), (2.0, 4.0), (4.0, 8.0)])
-        for s in np.arange(*whole, dash + gap):
-            lay((s, s + dash), (-0.07, 0.07), 7, MARKING)
+        for s in np.arange(*self.whole, dash + gap):
+            self.lay((s, s + dash), (-0.07, 0.07), 7, MARKING)
         if rng.random() < 0.4:
             for side in (-1, 1):
-                lay(whole, (side * (lane - 0.1), side * (lane - 0.22)), 4, MARKING)
-        for s in rng.uniform(*whole, rng.poisson(reach / 45)):  # zebra crossings
+                self.lay(self.whole, (side * (lane - 0.1), side * (lane - 0.22)), 4, MARKING)
+        for s in self.somewhere(45):
             for stripe in np.arange(-half + 0.4, half - 0.5, 1.0):
-                lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARKING)
+                self.lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARKING)
+
+    def park_along(self, side: int, pitch: float, lane: float, marked: bool) -> None:
+        """Places for vehicles one behind the other, every `pitch`."""
+        rng, half = self.site.rng, self.half
+        for s in np.arange(-self.site.reach + rng.uniform(0, pitch), self.site.reach, pitch):
+            self.site.offer(*self.place(s, side * (half - 1.05)), pitch - 0.7)
+            if marked and self.width > 8 and rng.random() < 0.7:
+                s += pitch / 2
+                self.lay((s - 0.05, s + 0.05), (side * lane, side * half), 4, MARKING)
+
+    def park_across(self, side: int, marked: bool) -> None:
+        """Bays for vehicles side by side."""
+        half, bays = self.half, (side * self.half, side * (self.half + 5.2))
+        self.lay(self.whole, bays, 2, self.site.road if self.site.rng.random() < 0.6 else self.site.stones)
+        for s in np.arange(*self.whole, 2.6):
+            self.site.offer(*self.place(s, side * (half + 2.6), np.pi / 2))
+            if marked:
+                self.lay((s + 1.25, s + 1.35), bays, 4, MARKING)
+
+    def plant(self, side: int) -> None:
+        """Trees along it."""
+        rng = self.site.rng
+        for s in np.arange(*self.whole, rng.uniform(9, 16)):
+            if rng.random() < 0.6:
+                x, y, _ = self.place(s, side * (self.half + self.walk * 0.6))
+                self.site.tree(x, y, rng.uniform(1.0, 2.6))
+
+
+def _street(site: Site, at: float, width: float, upright: bool) -> float:
+    """Build a street; returns the width that it takes with pavements and bays [m]."""
+    rng = site.rng
+    street = _Street(site, at, width, upright, walk=rng.uniform(1.5, 3.5))
+    street.pave()
+    parking = pick(rng, ["parallel", "perpendicular", "none"], [0.6, 0.15, 0.25])
+    lane = street.half - 2.1 if parking == "parallel" and width > 8 else street.half
+    marked = street.paved and rng.random() < 0.75
+    if marked:
+        street.mark(lane)
     pitch = rng.uniform(5.6, 7.0)
     for side in (-1, 1):
         if parking == "parallel":
-            for s in np.arange(-reach + rng.uniform(0, pitch), reach, pitch):
-                site.offer(*place(s, side * (half - 1.05)), pitch - 0.7)
-                if marked and width > 8 and rng.random() < 0.7:
-                    s += pitch / 2
-                    lay((s - 0.05, s + 0.05), (side * lane, side * half), 4, MARKING)
+            street.park_along(side, pitch, lane, marked)
         elif parking == "perpendicular" and rng.random() < 0.7:
-            bays = side * half, side * (half + 5.2)
-            lay(whole, bays, 2, site.road if rng.random() < 0.6 else site.stones)
-            for s in np.arange(*whole, 2.6):
-                site.offer(*place(s, side * (half + 2.6), np.pi / 2))
-                if marked:
-                    lay((s + 1.25, s + 1.35), bays, 4, MARKING)
-        for s in rng.uniform(*whole, rng.poisson(2 * reach / 45)):  # traffic
-            site.offer(*place(s, side * min(width / 4, 1.9)), 6.0)
-        if rng.random() < 0.5:  # an avenue
-            for s in np.arange(*whole, rng.uniform(9, 16)):
-                if rng.random() < 0.6:
-                    x, y, _ = place(s, side * (half + walk * 0.6))
-                    site.tree(x, y, rng.uniform(1.0, 2.6))
+            street.park_across(side, marked)
+        for s in street.somewhere(22.5):  # traffic
+            site.offer(*street.place(s, side * min(width / 4, 1.9)), 6.0)
+        if rng.random() < 0.5:
+            street.plant(side)
     if rng.random() < 0.3:
-        site.lorry(*place(rng.uniform(*whole), rng.choice([-1, 1]) * width / 4))
-    return width + 2 * max(walk, 5.3 if parking == "perpendicular" else 0.0) + 0.4
+        site.lorry(*street.place(rng.uniform(*street.whole), rng.choice([-1, 1]) * width / 4))
+    return width + 2 * max(street.walk, 5.3 if parking == "perpendicular" else 0.0) + 0.4
 
 
 def _gaps(lines: Sequence[tuple[float, float]], reach: float) -> list[Span]:
