@@ -70,6 +70,19 @@ def test_pictures_that_the_model_lacks_are_left_out_and_points_without_any_are_t
     assert found.says == "ground control (4 points, 4 of them where rays meet, 1 more in no picture of the model)"
 
 
+def test_marks_near_the_horizon_do_not_count_beside_others(flight, tmp_path):
+    source = open_source(flight[0])
+    path = marked(tmp_path / "gcp_list.txt", source, flight[1])
+    whole = read_control(path, source)
+    assert not source.views("00.png", np.array([[1.0, 479.0]]))[2][0]
+    known = path.read_text().splitlines()[3].split()[:3]
+    path.write_text("\n".join([path.read_text(), " ".join([*known, "1", "479", "00.png"])]))
+    assert read_control(path, source) == whole
+    path.write_text("\n".join([path.read_text(), " ".join([*known, "1", "4790", "00.png"])]))
+    with pytest.raises(InputError, match="line 4: 1,4790 lies outside of the picture"):
+        read_control(path, source)
+
+
 def test_pictures_are_found_by_their_files_names(flight, tmp_path):
     source = open_source(flight[0])
     found = read_control(marked(tmp_path / "g.txt", source, flight[1], named="/home/me/images/{}".format), source)

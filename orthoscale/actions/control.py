@@ -23,10 +23,10 @@ from ..core.control import (
 )
 from ..core.evidence import Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
-from ..core.source import Source
+from ..core.source import PosedSet, Source
 from ..errors import InputError, UsageError, shown
 from ..formats.control_points import CONTROL_HINT, in_line, read_control_file
-from ..formats.points import number
+from ..formats.points import number, pixel
 from ..formats.reading import reason
 
 DISTANCE_HINT = (
@@ -143,8 +143,11 @@ def _located(word: str, source: Source, footing: Footing) -> _Located:
 
 def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _Located:
     """The point of `source` that `marks` mean together: where their rays meet if they are of cameras that stand apart,
-    else what the first of them means. Raises ValueError where they do not meet."""
+    else what the first of them means. Marks near the horizon do not count beside others. Raises ValueError where rays
+    do not meet."""
     if len(marks) > 1 and source.posed is not None:
+        posed = source.posed
+        marks = [mark for mark in marks if _sees_ground(mark, posed)] or marks[:1]
         rays = np.array([source.ray(mark) for mark in marks])
         centres = np.array([source.locate(mark) for mark in marks]) - rays
         sds = np.array([source.reading_sd(mark) for mark in marks])
@@ -158,6 +161,13 @@ def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _L
                 )
             return _Located(place, np.zeros(3), sd, place, met=True)
     return _located(marks[0], source, footing)
+
+
+def _sees_ground(mark: str, posed: PosedSet) -> bool:
+    """Whether ``NAME@X,Y`` sees known ground, steeply enough to be measured there."""
+    name, _, place = mark.rpartition("@")
+    at = pixel(place, *posed.image_size(name), "a pixel")
+    return bool(posed.views(name, at[None])[2][0])
 
 
 def _with_ground(found: Evidence, points: list[_Located], footing: Footing) -> Evidence:
