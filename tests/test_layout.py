@@ -13,7 +13,7 @@ import rasterio
 import shapely
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
-from shapely import Polygon, box
+from shapely import LineString, Polygon, box
 from support import in_process
 from support.lots import lot_file, orthophoto
 
@@ -65,6 +65,17 @@ def test_the_track_is_400_metres_long():
     assert 2 * straight + 2 * math.pi * (kerb + 0.30) == pytest.approx(400, abs=0.02)  # measured 30 cm off the kerb
     inside = Polygon(FACILITIES["football"].outline)
     assert Polygon(f.lines[0]).contains(inside), "the stadium's pitch lies within its track"
+
+
+def test_cars_get_into_a_car_park():
+    """No painted line crosses the aisle; a court is painted all round."""
+    f = parking("parking-DE", 8)
+    aisle = Polygon([(-f.length, -1), (f.length, -1), (f.length, 1), (-f.length, 1)])
+    painted = [LineString(line) for line in (*f.lines, *f.edges)]
+    assert not any(line.crosses(aisle) for line in painted)
+    assert sum(line.length for line in map(LineString, f.edges)) == pytest.approx(2 * f.length)
+    (ring,) = FACILITIES["tennis"].edges
+    assert LineString(ring).is_closed and LineString(ring).length == pytest.approx(2 * (23.77 + 10.97))
 
 
 def test_parking_has_as_many_bays_as_asked_for():

@@ -609,6 +609,7 @@ def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
     assert [row["photo"] for row in rows] == ["a.jpg", "c.jpg", "more/b.jpg", "all together"]
     counts = [(row["boxes"], row["vehicles_used"]) for row in rows]
     each, few, _, pooled = counts
+    assert {row["depth_vehicles"] for row in rows} == {""}  # nobody asked for depth
     assert few == ("4", "") and rows[1]["problem"].startswith("4 usable vehicles")
     assert pooled == (str(2 * int(each[0]) + 4), str(text["together"]["vehicles_used"]))
     assert f"{pooled[1]} of {pooled[0]} boxes used, in 3 photos" in done.stdout

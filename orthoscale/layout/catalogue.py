@@ -33,7 +33,8 @@ class Facility:
     length, width : of the playing area. ends, sides : run-off beyond its short and its long lines [m].
     north_south : its length should point north, so that nobody looks into a low sun.
     stadium : it has half circles for ends. lines : what is painted, (n, 2) each.
-    look : in words, for a generative renderer. colour : RGB.
+    look : in words, for a generative renderer. colour : RGB. open_ends : vehicles drive in at its short ends, which
+    are not painted.
     """
 
     code: str
@@ -48,6 +49,7 @@ class Facility:
     look: str
     colour: tuple[int, int, int]
     source: str
+    open_ends: bool = False
 
     @property
     def full_length(self) -> float:
@@ -65,6 +67,12 @@ class Facility:
         if self.stadium:
             return _stadium(self.length - self.width, self.width / 2)[:-1]
         return _rectangle(0, 0, self.length, self.width)[:-1]
+
+    @property
+    def edges(self) -> tuple[np.ndarray, ...]:
+        """The playing area's edges as they are painted: all round, or with `open_ends` along the long sides."""
+        ring = np.concatenate([self.outline, self.outline[:1]])
+        return (ring[:2], ring[2:4]) if self.open_ends else (ring,)
 
 
 @dataclass(frozen=True)
@@ -170,6 +178,7 @@ def parking(code: str, bays: int) -> Facility:
         look=f"an asphalt car park with {bays} marked bays in two rows along an aisle",
         colour=(120, 120, 125),
         source=f"bay: {stall['source']}; aisle: {aisle['source']}",
+        open_ends=True,
     )
 
 
@@ -193,13 +202,16 @@ def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping
     return Facility(
         code=code,
         name=str(entry["name"]),
+        length=sizes["length"],
+        width=sizes["width"],
+        ends=sizes["ends"],
+        sides=sizes["sides"],
         north_south=bool(entry.get("north_south", False)),
         stadium=entry.get("shape") == "stadium",
         lines=tuple(lines) or (_rectangle(0, 0, sizes["length"], sizes["width"]),),
         look=str(entry.get("look", f"a {entry['name']}")),
         colour=(red, green, blue),
         source=str(entry["source"]),
-        **sizes,
     )
 
 

@@ -56,8 +56,7 @@ def lines(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Wi
     drawing = np.zeros((window.height, window.width), np.uint8)
     thickness = max(1, round(LINE_M / ground.gsd))
     for place in placed:
-        outline = place.facility.outline
-        for line in (*place.facility.lines, np.concatenate([outline, outline[:1]])):
+        for line in (*place.facility.lines, *place.facility.edges):
             _polyline(drawing, ground, place.on_ground(line), window, 1.0, 255, thickness, cv2.LINE_8)
     return drawing
 
@@ -78,7 +77,7 @@ def overlay(
         _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
     for place in placed:
         _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
-        for line in (*place.facility.lines, _ring_of(place.facility.outline)):
+        for line in (*place.facility.lines, *place.facility.edges):
             _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
     for number, place in enumerate(placed, 1):
         x, y = _points(ground, np.array([place.centre]), window, zoom)[0] / 16
@@ -90,10 +89,6 @@ def overlay(
 
 def _ring(area: BaseGeometry) -> np.ndarray:
     return np.asarray(area.exterior.coords)[:, :2]
-
-
-def _ring_of(outline: np.ndarray) -> np.ndarray:
-    return np.concatenate([outline, outline[:1]])
 
 
 def _rings(area: BaseGeometry) -> list[np.ndarray]:

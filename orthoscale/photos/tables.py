@@ -70,7 +70,7 @@ def row(outcome: PhotoOutcome) -> dict[str, Any]:
         "depth_altitude_m": _rounded(depth.altitude) if depth else None,
         "depth_ratio": _rounded(outcome.ratio(depth.altitude if depth else None)),
         "depth_scatter": _rounded(depth.scatter) if depth else None,
-        "depth_vehicles": depth.vehicles if depth else 0,
+        "depth_vehicles": depth.vehicles if depth else None,
         "depth_problem": outcome.depth_problem,
         "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
         "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
