@@ -76,7 +76,8 @@ def overlay(
     for ring in _rings(lot):
         _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
     for place in placed:
-        _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
+        if place.facility.ends or place.facility.sides:
+            _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
         for line in (*place.facility.lines, *place.facility.edges):
             _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
     for number, place in enumerate(placed, 1):
