@@ -141,8 +141,9 @@ def test_what_decides_the_scale_is_said():
     assert combined(vehicles, {"sampling": 0.05}, [far]).conflict > 3
 
 
-def tagged(folder, metres_per_unit=UNIT, noise=0.2):
-    """A flight whose frames have GPS positions, at 47 degrees north, and its vehicles."""
+def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=()):
+    """A flight whose frames have GPS positions, at 47 degrees north, and its vehicles. wrong : numbers of the frames
+    whose positions are 150 m off."""
     model, turn = make_model()
     save(model, folder / "sparse" / "0", "bin")
     source = ColmapSource.open(folder, need_images=False)
@@ -151,6 +152,7 @@ def tagged(folder, metres_per_unit=UNIT, noise=0.2):
     (folder / "images").mkdir()
     for k, name in enumerate(source.picture_names):
         east, north = (metres_per_unit * source.centre(name) @ turn)[:2] + rng.normal(0, noise, 2)
+        east += 150.0 * (k in wrong)
         taken = {0x010F: "DJI", 0x9003: f"2026:06:01 12:{k // 12:02d}:{5 * k % 60:02d}"}
         write_photo(folder / "images" / name, exif=taken, gps=local(east, north, inverse=True), size=(640, 480))
     return found_by(folder, turn)
@@ -190,6 +192,16 @@ def test_they_count_beside_the_vehicles_unless_they_are_left_out(flight):
     assert low < UNIT < high
     assert any("decide the scale" in remark.text for remark in both.remarks)
     assert alone.settings == {**both.settings, "gps": False}
+
+
+def test_a_frame_whose_position_is_wrong_is_no_end_of_it(tmp_path):
+    """Its receiver had no fix yet."""
+    save_detections(tagged(tmp_path, wrong=(3,)), tmp_path / "boxes.json")
+    found = orthoscale.estimate(tmp_path, **usual(tmp_path))
+    (gps,) = found.scale.evidence
+    assert gps.kind == "GPS positions" and gps.doubt == pytest.approx(1 / 12)
+    low, high = found.scale.interval90
+    assert low < UNIT < high
 
 
 def test_positions_that_contradict_the_vehicles_are_not_averaged(tmp_path):
