@@ -387,7 +387,7 @@ def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval
 @pytest.mark.parametrize("n", [0, 1, 4])
 def test_too_few_vehicles_are_refused(n):
     fleet = load_fleet("DE")
-    with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles, 5 are needed"):
+    with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles?, 5 are needed"):
         pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
 
 
