@@ -39,7 +39,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 
-from .data import read_labels
+from .data import as_stored, read_labels
 from .evaluate import BY_HAND, checked_scenes, measured_scenes, middle, reference_scene
 
 CELL = (400, 230)  # width, height [px of the sheet]; a sheet of twelve is as large as models see without shrinking it
@@ -130,9 +130,7 @@ def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def enlarged(cell: Cell, share: float = 1.0) -> np.ndarray:
     """The cell's picture, BGR, its contrast stretched, at `share` of the size of CELL."""
-    image = cv2.imread(str(cell.picture), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise ValueError(f"{cell.picture}: not an image that OpenCV can read")
+    image = as_stored(cell.picture)
     linear, shift = share * cell.to_cell[:, :2], share * cell.to_cell[:, 2]
     centres = np.c_[linear, shift + linear @ (0.5, 0.5) - 0.5]  # OpenCV puts a pixel's centre at its integer index
     size = (int(share * CELL[0]), int(share * CELL[1]))

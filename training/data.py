@@ -81,6 +81,14 @@ BACKGROUND = "background"  # kind of a judged box that looks like a vehicle and 
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
+def as_stored(path: Path) -> np.ndarray:
+    """(h, w, 3) uint8 BGR, the picture as it is stored, however its tags want it turned. Raises ValueError."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if pixels is None:
+        raise ValueError(f"{path}: not an image that OpenCV can read")
+    return pixels
+
+
 def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -> list[LabelledImage]:
     """The images of one label file, in its order, each box freed of its scene's margin (labels/margins.json).
 

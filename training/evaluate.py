@@ -47,7 +47,7 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
-from .data import NOMINAL_LENGTH, read_labels
+from .data import NOMINAL_LENGTH, as_stored, read_labels
 
 CHECKED = Path(__file__).parent / "labels" / "checked.json"
 PLACES = Path(__file__).parent / "labels" / "places.json"
@@ -291,10 +291,8 @@ def picture_files(path: Path) -> list[PictureFile]:
 
 
 def _decoded_size(path: Path) -> tuple[int, int]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if pixels is None:
-        raise ValueError(f"{path}: not an image that OpenCV can read")
-    return pixels.shape[1], pixels.shape[0]
+    height, width = as_stored(path).shape[:2]
+    return width, height
 
 
 def twice_seen(

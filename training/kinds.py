@@ -20,7 +20,6 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from orthoscale.core.boxes import KINDS, Boxes
@@ -39,6 +38,7 @@ from .by_hand import (
     stored_name,
     write_cells,
 )
+from .data import as_stored
 
 LABELS = Path(__file__).parent / "labels" / "kinds.json"
 SHARE = 0.5  # of the cells that edges are read in
@@ -77,10 +77,7 @@ def likely_rare(
     """The pictures, as `by_hand.choose` takes them, with those vehicles alone of whose kind the measurer gives at
     least so much to RARE."""
     for scene, file, boxes, size in pictures:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if image is None:
-            raise ValueError(f"{file}: not an image that OpenCV can read")
-        told = measurer.in_pixels(image[..., ::-1], Boxes(boxes, np.ones(len(boxes))))
+        told = measurer.in_pixels(as_stored(file)[..., ::-1], Boxes(boxes, np.ones(len(boxes))))
         yield scene, file, boxes[told.kind[:, RARE].sum(1) >= least], size
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -77,9 +77,10 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
     points: list[_Located] = []
     metres: list[tuple[float, ...]] = []
     level_sd, dims = 0.0, 3 if source.plan is None else 2
+    named = _by_file_name(source.picture_names)
     for control in file.points:
         with in_line(path, control.row):
-            marks = _in_model(control.marks, source) if file.of_project else control.marks
+            marks = _in_model(control.marks, named) if file.of_project else control.marks
             if not marks:
                 continue
             point, known = _control_point(marks, source, footing), control.metres[:dims]
@@ -101,15 +102,20 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
         raise InputError(f"{path}: {reason(error)}", CONTROL_HINT) from error
 
 
-def _in_model(marks: Sequence[str], source: Source) -> tuple[str, ...]:
-    """Those of a project's `marks` that are in pictures of the model, by its names for them: those may have folders."""
+def _by_file_name(names: Iterable[str]) -> dict[str, list[str]]:
+    """A model's pictures, which may have folders before their names, by the names of their files."""
     named: dict[str, list[str]] = {}
-    for name in source.picture_names:
+    for name in names:
         named.setdefault(Path(name).name, []).append(name)
+    return named
+
+
+def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Those of a project's `marks` that are in the model's pictures, `named` by their files, by its names for them."""
     found: list[str] = []
     for mark in marks:
         picture, _, place = mark.rpartition("@")
-        names = named.get(Path(picture).name, [])
+        names = named.get(Path(picture).name, ())
         if len(names) > 1:
             names = [name for name in names if name == picture]
         found.extend(f"{name}@{place}" for name in names)

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from orthoscale.detect.measurer import ANSWERS
-from training.data import LabelledImage, read_labels
+from training.data import LabelledImage, as_stored, read_labels
 from training.evaluate import measured_scenes
 from training.kinds import LABELS
 
@@ -98,10 +98,8 @@ def by_name(vehicles: Iterable[Mapping[str, Any]], name: str) -> dict[str, list[
 
 
 def _patches(path: Path, wanted: Iterable[tuple[np.ndarray, int]]) -> list[Patch]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if pixels is None:
-        raise FileNotFoundError(f"{path}: not an image that OpenCV can read")
-    cut = [_patch(pixels[..., ::-1], box, kind) for box, kind in wanted]
+    pixels = as_stored(path)[..., ::-1]
+    cut = [_patch(pixels, box, kind) for box, kind in wanted]
     return [patch for patch in cut if patch is not None]
 
 

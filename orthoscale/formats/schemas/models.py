@@ -11,8 +11,18 @@ from .values import Finite, Name, Px, PxLength, Size, Text
 Bend = Annotated[float, Meta(ge=-1e4, le=1e4)]  # a coefficient of distortion
 
 
-class LensEntry(Struct):
-    """A calibrated camera [px], distortion as in OpenCV; `focal_px` may stand for `fx`."""
+class Distortion(Struct, kw_only=True):
+    """Radial (k) and tangential (p) coefficients, as in OpenCV."""
+
+    k1: Bend = 0.0
+    k2: Bend = 0.0
+    k3: Bend = 0.0
+    p1: Bend = 0.0
+    p2: Bend = 0.0
+
+
+class LensEntry(Distortion, kw_only=True):
+    """A calibrated camera [px]; `focal_px` may stand for `fx`."""
 
     width: Size
     height: Size
@@ -21,11 +31,6 @@ class LensEntry(Struct):
     fy: PxLength | None = None
     cx: Px | None = None
     cy: Px | None = None
-    k1: Bend = 0.0
-    k2: Bend = 0.0
-    p1: Bend = 0.0
-    p2: Bend = 0.0
-    k3: Bend = 0.0
 
     def __post_init__(self) -> None:
         if self.fx is None and self.focal_px is None:
@@ -47,7 +52,7 @@ class Sim3Entry(Struct):
     translation: Vector
 
 
-class Intrinsics(Struct, kw_only=True):
+class Intrinsics(Distortion, kw_only=True):
     """nerfstudio's, for all frames or for one; which are needed depends on where else they stand."""
 
     w: Annotated[float, Meta(ge=1, lt=2**20)] | UnsetType = UNSET
@@ -56,12 +61,7 @@ class Intrinsics(Struct, kw_only=True):
     fl_y: PxLength | UnsetType = UNSET
     cx: Px | UnsetType = UNSET
     cy: Px | UnsetType = UNSET
-    k1: Bend = 0.0
-    k2: Bend = 0.0
-    k3: Bend = 0.0
     k4: Bend = 0.0
-    p1: Bend = 0.0
-    p2: Bend = 0.0
     camera_angle_x: Annotated[float, Meta(gt=0, lt=3.1415)] | UnsetType = UNSET
     camera_model: Name | UnsetType = UNSET
 
@@ -84,7 +84,7 @@ class Transforms(Intrinsics, kw_only=True):
     integer_depth_scale: Finite | UnsetType = UNSET
 
 
-class OpensfmCamera(Struct):
+class OpensfmCamera(Distortion, kw_only=True):
     """A camera of OpenSfM: size [px], focal lengths and centre as shares of the longer side."""
 
     width: Size
@@ -95,12 +95,7 @@ class OpensfmCamera(Struct):
     focal_y: Focal | UnsetType = UNSET
     c_x: Finite = 0.0
     c_y: Finite = 0.0
-    k1: Bend = 0.0
-    k2: Bend = 0.0
-    k3: Bend = 0.0
     k4: Bend = 0.0
-    p1: Bend = 0.0
-    p2: Bend = 0.0
 
 
 class OpensfmPlaced(Struct):
