@@ -387,8 +387,9 @@ def test_a_point_of_a_frame_is_read_to_a_pixel_and_lies_in_it(plain, model_bin, 
     source = ColmapSource.open(model_bin, tmp_path / "frames")
     name = source.picture_names[0]
     a, b = (source.locate(f"{name}@{x},240") for x in (320, 321))
-    assert source.reading_sd(f"{name}@320,240") == pytest.approx(0.5 * np.linalg.norm(a - b), rel=0.1)
-    assert source.reading_sd("1,2,3") == 0
+    step = np.linalg.norm(a.place - b.place)
+    assert a.read_sd == pytest.approx(0.5 * step, rel=0.1)
+    assert source.locate("1,2,3").read_sd == 0
     with pytest.raises(UsageError, match="no registered image is named nosuch.jpg"):
         source.locate("nosuch.jpg@10,10")
     for beyond in ("641,240", "-1,240", "320,480.5"):

@@ -97,7 +97,7 @@ def degrees(tmp_path):
 
 def test_a_known_distance_in_degrees_is_as_long_as_it_is_on_the_ground(degrees):
     with RasterSource.open(degrees) as source:
-        a, across, down = (source.locate(text) for text in ("100,100", "200,100", "100,200"))
+        a, across, down = (source.locate(text).place for text in ("100,100", "200,100", "100,200"))
         gsd = source.claimed.gsd_m
     metres = [np.linalg.norm(b - a) * gsd for b in (across, down)]
     assert metres == pytest.approx([11.16, 22.28], rel=0.002)  # 0.0002 degrees of longitude and latitude there

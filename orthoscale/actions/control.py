@@ -23,10 +23,10 @@ from ..core.control import (
 )
 from ..core.evidence import Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
-from ..core.source import PosedSet, Source
+from ..core.source import Located, OffGround, Source
 from ..errors import InputError, UsageError, shown
 from ..formats.control_points import CONTROL_HINT, in_line, read_control_file
-from ..formats.points import number, pixel
+from ..formats.points import number
 from ..formats.reading import reason
 
 DISTANCE_HINT = (
@@ -50,7 +50,7 @@ def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Ev
         if len(words) not in (3, 4):
             raise ValueError(f"{len(words)} words")
         *ends, metres = words[:3]
-        points = [_located(word, source, footing) for word in ends]
+        points = [_Footed.on(footing, source.locate(word)) for word in ends]
         place = np.array([point.place for point in points])
         read_sd = math.hypot(*(point.read_sd for point in points))
         sd = number(words[3]) if len(words) == 4 else None
@@ -74,7 +74,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
             f"{path}: it marks points in a project's pictures, and {source.path} is an orthophoto",
             "Give lines X,Y EAST NORTH, X,Y pixels of the orthophoto.",
         )
-    points: list[_Located] = []
+    points: list[_Footed] = []
     metres: list[tuple[float, ...]] = []
     level_sd, dims = 0.0, 3 if source.plan is None else 2
     named = _by_file_name(source.picture_names)
@@ -123,60 +123,56 @@ def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple
 
 
 @dataclass(frozen=True)
-class _Located:
-    """A point of a source. place, ray : (D,) where it lies, and `core.source.Source.ray` to it [units]. read_sd : one
-    sigma of how well it is read [units]. seen : (D,) its place where it was seen [units, world]. met : it lies where
-    several rays meet, on whatever ground."""
+class _Footed:
+    """A point of a source on its true ground. place, read_sd, ray : as `core.source.Located` has them. seen : (D,) its
+    place on the ground where it was seen [units, world]. met : it lies where several rays meet, on whatever ground."""
 
     place: np.ndarray
-    ray: np.ndarray
     read_sd: float
+    ray: np.ndarray
     seen: np.ndarray
     met: bool = False
 
-    def from_above(self, source: Source) -> _Located:
+    @classmethod
+    def on(cls, footing: Footing, point: Located) -> _Footed:
+        """`point` on the ground of `footing`, if it was seen on a ground."""
+        lower = float(footing.at(point.place[None])[0][0]) if point.ray.any() else 0.0
+        return cls(point.place + lower * point.ray, point.read_sd, (1 + lower) * point.ray, point.place)
+
+    def from_above(self, source: Source) -> _Footed:
         """The same on the plan of `source`."""
         near, far = source.from_above(np.array([self.place - self.ray, self.place]))
         return replace(self, place=far, ray=far - near)
 
 
-def _located(word: str, source: Source, footing: Footing) -> _Located:
-    """The point of `source` that a user calls `word`, on the ground of `footing` if it was seen on a ground."""
-    seen, ray = source.locate(word), source.ray(word)
-    lower = float(footing.at(seen[None])[0][0]) if ray.any() else 0.0
-    return _Located(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
-
-
-def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _Located:
+def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _Footed:
     """The point of `source` that `marks` mean together: where their rays meet if they are of cameras that stand apart,
     else what the first of them means. Marks near the horizon do not count beside others. Raises ValueError where rays
     do not meet."""
-    if len(marks) > 1 and source.posed is not None:
-        posed = source.posed
-        marks = [mark for mark in marks if _sees_ground(mark, posed)] or marks[:1]
-        rays = np.array([source.ray(mark) for mark in marks])
-        centres = np.array([source.locate(mark) for mark in marks]) - rays
-        sds = np.array([source.reading_sd(mark) for mark in marks])
-        if widest_angle(rays) >= PARALLAX:
-            place, sd = meeting_point(centres, rays, sds)
-            if (missed := missed_by(place, centres, rays) / sds * READING_SD).max() > MISSED:
-                worst = int(np.argmax(missed))
-                raise ValueError(
-                    f"the rays of its {len(marks)} marks do not meet: {marks[worst]} lies {missed[worst]:.0f} px from "
-                    "where they nearly do; one is on another point"
-                )
-            return _Located(place, np.zeros(3), sd, place, met=True)
-    return _located(marks[0], source, footing)
+    seen: dict[str, Located] = {}
+    for mark in marks:
+        try:
+            seen[mark] = source.locate(mark)
+        except OffGround:
+            if mark == marks[-1] and not seen:
+                raise
+    first, *others = seen.values()
+    rays = np.array([point.ray for point in seen.values()])
+    if others and widest_angle(rays) >= PARALLAX:
+        centres = np.array([point.place for point in seen.values()]) - rays
+        sds = np.array([point.read_sd for point in seen.values()])
+        place, sd = meeting_point(centres, rays, sds)
+        if (missed := missed_by(place, centres, rays) / sds * READING_SD).max() > MISSED:
+            worst = int(np.argmax(missed))
+            raise ValueError(
+                f"the rays of its {len(seen)} marks do not meet: {list(seen)[worst]} lies {missed[worst]:.0f} px from "
+                "where they nearly do; one is on another point"
+            )
+        return _Footed(place, sd, np.zeros(3), place, met=True)
+    return _Footed.on(footing, first)
 
 
-def _sees_ground(mark: str, posed: PosedSet) -> bool:
-    """Whether ``NAME@X,Y`` sees known ground, steeply enough to be measured there."""
-    name, _, place = mark.rpartition("@")
-    at = pixel(place, *posed.image_size(name), "a pixel")
-    return bool(posed.views(name, at[None])[2][0])
-
-
-def _with_ground(found: Evidence, points: list[_Located], footing: Footing) -> Evidence:
+def _with_ground(found: Evidence, points: list[_Footed], footing: Footing) -> Evidence:
     """What `points` gave, with the error of the ground on which they were seen."""
     rays = np.array([point.ray for point in points])
     if not rays.any():

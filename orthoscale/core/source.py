@@ -86,6 +86,21 @@ class Pictures(Protocol):
     def claimed(self) -> Claim | None: ...
 
 
+@dataclass(frozen=True)
+class Located:
+    """A point of a source. place : (2,) or (3,) its position [source units]. read_sd : one sigma of how well that can
+    be read, along a line [source units]. ray : (2,) or (3,) from the camera that shows it to its place on the ground
+    [source units]; 0 for what is not seen on a ground."""
+
+    place: np.ndarray
+    read_sd: float
+    ray: np.ndarray
+
+
+class OffGround(ValueError):
+    """A pixel that was to be located does not see the ground, or too flatly to be measured there."""
+
+
 class Source(Pictures, Protocol):
     """What a scale is found for. It is a `Plan` or a `PosedSet`: one of `plan` and `posed` is itself, the other None.
 
@@ -114,17 +129,8 @@ class Source(Pictures, Protocol):
         """(N, 2) places on a plan, x right and y up [source units], of places (N, D) in its own coordinates."""
         ...
 
-    def locate(self, point: str) -> np.ndarray:
-        """(2,) or (3,) the position of a point that a user named in text [source units]. Raises ValueError."""
-        ...
-
-    def reading_sd(self, point: str) -> float:
-        """One sigma of how well that point can be read, along a line [source units]. Raises ValueError."""
-        ...
-
-    def ray(self, point: str) -> np.ndarray:
-        """(2,) or (3,) from the camera that shows that point to its place on the ground [source units]; 0 for what is
-        not seen on a ground. Raises ValueError."""
+    def locate(self, point: str) -> Located:
+        """Where a point that a user named in text lies. Raises ValueError, `OffGround` for a pixel without ground."""
         ...
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.control import READING_SD
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
-from ..core.source import FocalDoubt, GpsScale
+from ..core.source import FocalDoubt, GpsScale, Located, OffGround
 from ..errors import InputError, OrthoscaleError, OutputError, UsageError
 from ..formats.geometry.dense import find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
@@ -187,37 +187,20 @@ class ColmapSource:
         """(N, 2) places on the ground's plane [model units] of points (N, 3). Which way north lies is not known."""
         return self.ground.plane(place)
 
-    def locate(self, point: str) -> np.ndarray:
-        """(3,) the point [model units] that ``X,Y,Z``, ``id:123`` (a 3D point) or ``NAME@X,Y`` (what the image shows of
-        the ground at a pixel) means. Raises ValueError."""
+    def locate(self, point: str) -> Located:
+        """Where the point [model units] lies that ``X,Y,Z``, ``id:123`` (a 3D point) or ``NAME@X,Y`` (what the image
+        shows of the ground at a pixel) means. Raises ValueError, `OffGround`."""
         if point.startswith("id:"):
-            return self.point(int(number(point[3:])))
+            return Located(self.point(int(number(point[3:]))), 0.0, np.zeros(3))
         if "@" not in point:
-            return coordinates(point, 3, "a point of a model")
-        return self._on_ground(point)
-
-    def reading_sd(self, point: str) -> float:
-        """One sigma of how well `point` can be read along a line [model units]; 0 for what is no pixel. Raises
-        ValueError."""
-        if "@" not in point:
-            return 0.0
-        return READING_SD * max(
-            float(np.linalg.norm(self._on_ground(point, step) - self._on_ground(point)))
-            for step in ((1.0, 0.0), (0.0, 1.0))
-        )
-
-    def ray(self, point: str) -> np.ndarray:
-        """(3,) from the camera of ``NAME@X,Y`` to what it shows of the ground there [model units]; 0 for any other
-        point. Raises ValueError."""
-        return self._on_ground(point) - self.centre(point.rpartition("@")[0]) if "@" in point else np.zeros(3)
-
-    def _on_ground(self, point: str, step: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-        """(3,) what ``NAME@X,Y`` shows of the ground, `step` pixels aside."""
+            return Located(coordinates(point, 3, "a point of a model"), 0.0, np.zeros(3))
         name, _, place = point.rpartition("@")
-        _, on_ground, ok = self.views(name, (pixel(place, *self.image_size(name), "a pixel") + np.asarray(step))[None])
-        if not ok[0]:
-            raise ValueError(f"{point!r} does not see the model's ground")
-        return on_ground[0]
+        at = pixel(place, *self.image_size(name), "a pixel")
+        _, (there, *beside), ok = self.views(name, at + np.array([(0, 0), (1, 0), (0, 1)]))
+        if not ok.all():
+            raise OffGround(f"{point!r} does not see the model's ground")
+        read_sd = READING_SD * float(np.linalg.norm(beside - there, axis=1).max())
+        return Located(there, read_sd, there - self.centre(name))
 
     @property
     def scaled_already(self) -> str:

@@ -20,7 +20,7 @@ from rasterio.windows import Window
 from ..core.control import READING_SD
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
-from ..core.source import NO_DATA_GREY, Picture, Placement
+from ..core.source import NO_DATA_GREY, Located, Picture, Placement
 from ..errors import InputError, UsageError
 from ..formats.points import pixel
 from ..system.budget import in_words
@@ -171,23 +171,17 @@ class RasterSource:
         """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]."""
         return np.stack([place[:, 0], self.height - place[:, 1]], -1) * self._square
 
-    def locate(self, point: str) -> np.ndarray:
-        """(2,) where the pixel that ``X,Y`` means would be if pixels were square. Raises ValueError."""
-        return pixel(point, self.width, self.height, "a point of an orthophoto") * self._square
+    def locate(self, point: str) -> Located:
+        """Where the pixel that ``X,Y`` means would be if pixels were square; an orthophoto has no ground beside itself.
+        Raises ValueError."""
+        place = pixel(point, self.width, self.height, "a point of an orthophoto") * self._square
+        return Located(place, READING_SD, np.zeros(2))
 
     @property
     def _square(self) -> np.ndarray:
         """(2,) width and height of a pixel in those of a square one of the same area."""
         wide = math.sqrt(self.claimed.aspect)
         return np.array([wide, 1 / wide])
-
-    def reading_sd(self, point: str) -> float:
-        """One sigma of how well `point` can be read along a line [px]."""
-        return READING_SD
-
-    def ray(self, point: str) -> np.ndarray:
-        """(2,) 0: an orthophoto has no ground beside itself."""
-        return np.zeros(2)
 
     @property
     def metric_already(self) -> str:
