@@ -58,12 +58,30 @@ def _sharpened(pixels: np.ndarray) -> np.ndarray:
     return cv2.addWeighted(pixels, 2.5, _blurred(pixels, 1.0), -1.5, 0)
 
 
+def _of_video(pixels: np.ndarray) -> np.ndarray:
+    """As the last of eight frames of a moving camera's video shows it: a quarter of a bit for a pixel, as of drones."""
+    even = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]
+    height, width = even.shape[:2]
+    with tempfile.TemporaryDirectory() as scratch:
+        file = str(Path(scratch) / "frames.webm")
+        video = cv2.VideoWriter(file, cv2.VideoWriter_fourcc(*"VP90"), 25, (width, height))
+        for k in range(7, -1, -1):
+            video.write(np.roll(even, 4 * k, axis=1))
+        video.release()
+        frames = cv2.VideoCapture(file)
+        while (read := frames.read())[0]:
+            last = read[1]
+    return last
+
+
 # Name: how many pixels of the copy one of the picture's becomes, and how.
 CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     AS_THEY_ARE: (1, lambda p: p),
     "grey": (1, lambda p: cv2.cvtColor(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)),
     "JPEG 30": (1, lambda p: _jpeg(p, 30)),
+    "frame of a video": (1, _of_video),
     "sharpened": (1, _sharpened),
+    "channels exchanged": (1, lambda p: np.ascontiguousarray(p[..., [1, 2, 0]])),
     "hazy": (1, lambda p: _toned(p, 1.0, 0.5, 110)),
     "dark": (1, lambda p: _toned(p, 1.8, 0.8, 0)),
     "overexposed": (1, lambda p: _toned(p, 0.8, 1.5, 10)),

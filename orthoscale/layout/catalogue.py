@@ -24,6 +24,7 @@ from ..formats.tables import standards
 
 CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
+BAYS = 10  # of a car park where nobody says how many
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ class Request:
 
 
 def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[Request]:
-    """``CODE``, ``CODE:COUNT``, ``CODE@X,Y`` or ``CODE@X,Y,BEARING``; parking is ``parking-COUNTRY:BAYS``.
+    """``CODE``, ``CODE:COUNT``, ``CODE@X,Y`` or ``CODE@X,Y,BEARING``; parking is ``parking-COUNTRY`` or
+    ``parking-COUNTRY:BAYS``.
 
     BEARING is that of the long side, clockwise from north; 0 by default. Raises UsageError, InputError.
     """
@@ -100,7 +102,7 @@ def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[
         if not 1 <= count <= 1000:
             raise UsageError(f"--facility {text!r}: a count of {count}", "Give a count from 1 to 1000.")
         if code.lower().startswith("parking"):
-            facility, count = parking(code, int(match[2] or 10)), 1
+            facility, count = parking(code, int(match[2] or BAYS)), 1
         elif code.lower() in kinds:
             facility = kinds[code.lower()]
         else:
