@@ -24,7 +24,7 @@ from ..formats.tables import standards
 
 CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
-BAYS = 10  # of a car park where nobody says how many
+USUAL_BAYS = 10  # of a car park where nobody says how many
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[
         if not 1 <= count <= 1000:
             raise UsageError(f"--facility {text!r}: a count of {count}", "Give a count from 1 to 1000.")
         if code.lower().startswith("parking"):
-            facility, count = parking(code, int(match[2] or BAYS)), 1
+            facility, count = parking(code, int(match[2] or USUAL_BAYS)), 1
         elif code.lower() in kinds:
             facility = kinds[code.lower()]
         else:
