@@ -493,14 +493,20 @@ def test_another_focal_length_is_of_the_same_lens(tmp_path, text):
 
 
 def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet):
-    all_boxes, photos = {}, []
-    for k in range(4):
-        path = write_photo(tmp_path / f"{k}.jpg", gps=(8.0 + 1e-7 * k, 47.0))
-        all_boxes[path.name] = boxes_in(view_from(-90), 3, seed=k)
-        photos.append(open_photo(path, focal_px=FOCAL, pitch=-90.0))
-    found = detections_of(all_boxes)
+    photos = [
+        open_photo(write_photo(tmp_path / f"{k}.jpg", gps=(8.0 + 1e-7 * k, 47.0)), focal_px=FOCAL, pitch=-90.0)
+        for k in range(4)
+    ]
+    few, found = (
+        detections_of({photo.name: boxes_in(view_from(-90), each, seed=k) for k, photo in enumerate(photos)})
+        for each in (3, 6)
+    )
     with pytest.raises(TooLittleEvidence, match="3 usable vehicles, 5 are needed"):
-        measure(photos[:1], found, fleet)
+        measure(photos[:1], few, fleet)
+    with pytest.raises(TooLittleEvidence, match=r"12 boxes in 4 photos, but 4.0 of them .* about 3 different vehicles"):
+        measure_together(photos, few, fleet)
+    unplaced = [replace(photo, tags=replace(photo.tags, lon_lat=None)) for photo in photos]
+    assert measure_together(unplaced, few, fleet).overlap == 4, "they may show different places"
     got = measure_together(photos, found, fleet)
     assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.005)
     assert got.overlap == pytest.approx(4, abs=0.1)  # all from one spot

@@ -13,6 +13,7 @@ from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.pooling.robust import MIN_VEHICLES
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..requests import number
 from ..system.paths import path_of, paths_of
@@ -184,7 +185,8 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
 
     A vehicle that k photos show has k votes, and which are the same is not known from boxes alone. So the sampling part
     of the interval is that of k times fewer vehicles, where k is how many of the photos show a place: from where they
-    were taken, or, where EXIF does not tell that, all of them.
+    were taken, or, where EXIF does not tell that, all of them. Raises TooLittleEvidence where that is known and leaves
+    too few.
     """
     focal = np.array([p.lens.focal_px for p in photos])
     if np.ptp(focal) > SAME_FOCAL * focal.mean():
@@ -194,11 +196,18 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
         )
     alone = measure(photos, found, fleet)
     looking = [p for p in photos if len(found.boxes.get(p.name, ()))]
-    return measure(photos, found, fleet, overlap=photos_per_place(looking, alone))
+    overlap = photos_per_place(looking, alone)
+    if overlap is not None and round(different := alone.scale.vehicles_used / overlap) < MIN_VEHICLES:
+        raise TooLittleEvidence(
+            f"{alone.scale.vehicles_used} boxes in {len(looking)} photos, but {overlap:.1f} of them show each place: "
+            f"about {different:.0f} different vehicles, {MIN_VEHICLES} are needed",
+            "Give photos of more ground.",
+        )
+    return measure(photos, found, fleet, overlap=len(looking) if overlap is None else overlap)
 
 
-def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float:
-    """How many of `photos` show a place that any of them shows, on average; all of them where it is not known.
+def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float | None:
+    """How many of `photos` show a place that any of them shows, on average; None where it is not known.
 
     Each photo counts as a disc of its footprint's area about the camera's place: headings matter little to that.
     """
@@ -206,8 +215,8 @@ def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float:
     import shapely
 
     places = [p.tags.lon_lat for p in photos]
-    if any(place is None for place in places) or len(photos) < 2:
-        return float(max(len(photos), 1))
+    if any(place is None for place in places):
+        return None
     lon, lat = np.array(places, float).T
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(
         np.full(len(lon), lon[0]), np.full(len(lat), lat[0]), lon, lat
