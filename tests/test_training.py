@@ -1,6 +1,7 @@
 """Training: targets and augmentation keep boxes on their pixels, margins and figures are what they say they are."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -1006,3 +1007,23 @@ def test_pale_ground_changes_nothing_but_the_ground():
     least, most = measurer_rendered.PALE_ALBEDO
     albedo = pale.scenery.colour[changed].mean(1)
     assert least <= albedo.min() and albedo.max() <= most and np.mean(pale.ground[1]) > np.mean(scene.ground[1])
+
+
+def test_a_measurers_stray_is_told_apart_from_its_readers():
+    """Places of known stray, read by readers with habits, margins and errors of their own."""
+    from training.measurer.readers import Reading, stray
+
+    rng = np.random.default_rng(5)
+    own = rng.normal(0, (0.01, 0.03), (60, 2))  # of the measurer, by place
+    habits, margins = rng.normal(0, 0.03, (4, 2)), rng.normal(0, 0.4, (4, 2))
+    size = np.exp(rng.uniform(np.log(8), np.log(60), (60, 1))) * [2.4, 1.0]
+    sigma = np.full(2, 0.01)
+    readings = [
+        Reading(k, f"{place}", own[place] + habits[k] + margins[k] / size[place] + error, sigma**2, size[place])
+        for k in range(4)
+        for place, error in enumerate(rng.normal(0, 0.02, (60, 2)))
+        if rng.random() < 0.8
+    ]
+    assert np.sqrt(stray(readings)) == pytest.approx([0.01, 0.03], rel=0.35)
+    alone = [replace(r, log_ratio=r.log_ratio - own[int(r.place)]) for r in readings]
+    assert np.abs(stray(alone)).max() < 0.006**2, "what a reader has wrong for himself is not the measurer's"

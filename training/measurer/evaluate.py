@@ -349,6 +349,21 @@ def margin(places: list[Place]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return fit(places, stray), stray, np.array([without.min(0), without.max(0)])
 
 
+def against_readings(measurer: Measurer, detector: Detector, scene: Scene, width_habit: float = 1.0) -> np.ndarray:
+    """(N, 6) of the vehicles of a scene that were read by eye: log ratio of the measurer's length and width, and of the
+    detector's, to what was read, widths times `width_habit`; whether the detector found it, the measurer is sure."""
+    rows = []
+    for p in scene.pictures:
+        for read in p.vehicles:
+            pixels, box = _window(p, read * [1, 1, 1, width_habit, 1], 2.2)
+            seen = detected(detector, pixels, box)
+            start = box if seen is None else seen
+            told = measurer.in_pixels(pixels, Boxes(start[None], np.ones(1)))
+            ratios = (np.log(found[2:4] / box[2:4]) for found in (told.boxes.xylwa[0], start))
+            rows.append([*np.concatenate(list(ratios)), seen is not None, trusted(told)[0]])
+    return np.array(rows, float)
+
+
 def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
     places = []
     lines = ["log ratio to what was read [%]: median, spread; the median's own uncertainty is about spread / sqrt(n)"]
@@ -356,19 +371,7 @@ def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
         f"{'':12s}   n found trusted | {'measurer: length':>18s} {'width':>16s} | {'detector: length':>18s} width"
     )
     for scene in measured_scenes(data, file):
-        rows = []
-        for p in scene.pictures:
-            for read in p.vehicles:
-                read = np.array([*read[:3], read[3] * WIDTH_HABIT, read[4]])
-                pixels, box = _window(p, read, 2.2)
-                seen = detected(detector, pixels, box)
-                start = box if seen is None else seen
-                told = measurer.in_pixels(pixels, Boxes(start[None], np.ones(1)))
-                rows.append([
-                    *np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), *np.log(start[2:4] / box[2:4]),
-                    seen is not None, trusted(told)[0], *(told.size_sigma[0] / box[2:4]),
-                ])  # fmt: skip
-        t = np.array(rows, float)
+        t = against_readings(measurer, detector, scene, WIDTH_HABIT)
         ok = t[:, 5] > 0
         found = t[:, 4] > 0
         if ok.sum() < 3:

@@ -1,0 +1,137 @@
+r"""How far the measurer strays from place to place, told apart from how far its readers do.
+
+    python -m training.measurer.readers --measurer M.onnx --data ../shared/data [READ.json ...]
+
+Against one reader's edges a place strays by what the measurer has wrong there and by what the reader has. Another
+reader, who saw neither the other's answers nor any box, errs for himself. So each reader's habit is taken off, a factor
+and a margin in pixels of his own, and what is left is compared between readers: what two of them find alike is the
+measurer's (or of what both take for the edge). By default the readings are those of labels/.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.measurer import Measurer
+from training.evaluate import BY_HAND, measured_scenes, middle
+
+from .evaluate import FEWEST, LEAST_SCATTER, SHIPPED, against_readings
+from .real import READ as LEARNT
+from .real import SLANTED
+
+READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcd"))
+STRAY = (0.01, 0.015)  # one sigma of length and width by which readings of places are weighed, before it is known
+DRAWS = 1000  # of places, for the uncertainty (bootstrap; Efron 1979)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a reader's vehicles of one place say of the measurer: medians of the log ratios (2,) of length and width to
+    what he read, their variances (2,), and the vehicles' median size (2,) [px]."""
+
+    reader: int
+    place: str
+    log_ratio: np.ndarray
+    variance: np.ndarray
+    size: np.ndarray
+
+
+def stray(readings: Sequence[Reading]) -> np.ndarray:
+    """(2,) variance of what readers agree the measurer has wrong at a place, in length and width; it may come out
+    negative.
+
+    Readings are `habit of the reader + margin of the reader / size + error at the place`, by weighted least squares;
+    the variance is the mean product of what two readers find at one place, Cov(a, b) of errors that are common.
+    """
+    readers = sorted({r.reader for r in readings})
+    places = sorted({r.place for r in readings})
+    shared = np.zeros(2)
+    for axis in (0, 1):
+        y = np.array([r.log_ratio[axis] for r in readings])
+        habit = np.zeros((len(readings), 2 * len(readers)))
+        for row, r in zip(habit, readings, strict=True):
+            k = 2 * readers.index(r.reader)
+            row[k : k + 2] = 1, 1 / r.size[axis]
+        weight = 1 / np.sqrt([r.variance[axis] + STRAY[axis] ** 2 for r in readings])
+        left = y - habit @ np.linalg.lstsq(habit * weight[:, None], y * weight, rcond=None)[0]
+        pairs = [
+            (left[i] * left[j], weight[i] * weight[j] / (len(there) - 1))
+            for place in places
+            for there in [[k for k, r in enumerate(readings) if r.place == place]]
+            for i, j in combinations(there, 2)
+        ]
+        product, weights = np.array(pairs).T
+        shared[axis] = np.average(product, weights=weights)
+    return shared
+
+
+def drawn(readings: Sequence[Reading], seed: int = 0) -> np.ndarray:
+    """(DRAWS, 2) `stray` of places drawn anew, each with all its readings."""
+    rng = np.random.default_rng(seed)
+    places = sorted({r.place for r in readings})
+    at = {place: [r for r in readings if r.place == place] for place in places}
+    found = []
+    while len(found) < DRAWS:
+        names = rng.choice(places, len(places))
+        some = [Reading(r.reader, f"{k} {r.place}", r.log_ratio, r.variance, r.size)
+                for k, name in enumerate(names) for r in at[name]]  # fmt: skip
+        if len({r.reader for r in some}) > 1:
+            found.append(stray(some))
+    return np.array(found)
+
+
+def read_by(measurer: Measurer, detector: Detector, data: Path, file: Path, reader: int) -> list[Reading]:
+    """One reader's readings of the places that were not learnt from."""
+    found = []
+    for scene in measured_scenes(data, file):
+        if scene.name in (*LEARNT, *SLANTED):
+            continue
+        rows = against_readings(measurer, detector, scene)
+        sure = rows[:, -1] > 0
+        if sure.sum() < FEWEST:
+            continue
+        size = np.concatenate([p.vehicles for p in scene.pictures])[sure, 2:4]
+        median, spread = middle(rows[sure, :2])
+        # Of a median: pi / 2 times a mean's; a few that agree by chance are not believed.
+        variance = np.pi / 2 * np.maximum(spread, LEAST_SCATTER) ** 2 / sure.sum()
+        found.append(Reading(reader, scene.name, median, variance, np.median(size, axis=0)))
+    return found
+
+
+def _sd(variance: float) -> str:
+    """A variance's root [%], with its sign."""
+    return f"{100 * np.sign(variance) * np.sqrt(abs(variance)):.1f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--measurer", type=Path, required=True)
+    parser.add_argument("--detector", type=Path, default=SHIPPED, help="(%(default)s)")
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("read", nargs="*", type=Path, default=READ, help="one file for each reader or group of them")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    measurer, detector = Measurer(options.measurer), Detector(options.detector, threads=1)
+    readings = [
+        reading for k, file in enumerate(options.read) for reading in read_by(measurer, detector, options.data, file, k)
+    ]
+    shared, trials = stray(readings), drawn(readings)
+    print(f"{len(options.read)} readers, {len({r.place for r in readings})} places, {len(readings)} readings of them")
+    for axis, name in enumerate(("length", "width")):
+        low, high = np.quantile(trials[:, axis], (0.16, 0.84))
+        print(
+            f"{name:6s} strays from place to place by {_sd(shared[axis])} % as readers agree "
+            f"(one sigma: {_sd(low)} to {_sd(high)})"
+        )
+
+
+if __name__ == "__main__":
+    main()
