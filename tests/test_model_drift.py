@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from orthoscale.core.measuring.drift import drift
-from orthoscale.core.measuring.model_drift import ModelDrift, Trend, by_region, model_drift, trend_of
+from orthoscale.core.measuring.model_drift import ModelDrift, Trend, by_frame, by_region, model_drift, trend_of
 from orthoscale.core.measuring.surface import LOTS_SD
 from orthoscale.core.measuring.vehicles import VEHICLE
 from orthoscale.core.pooling.robust import pool
@@ -54,6 +56,45 @@ def test_frames_that_agree_are_not(seed):
     found, scale = seen(seed=seed)
     assert list(found.odd) == [] and len(found.frames) == 12
     assert all(abs(f.scale / scale.value - 1) < 0.05 for f in found.frames.values())
+
+
+def by_frames(log_size):
+    """What frames say of vehicles seen at `log_size` (vehicles, frames), NaN where a frame does not show one."""
+    vehicle, frame = np.nonzero(np.isfinite(log_size))
+    votes = SimpleNamespace(members=[np.flatnonzero(vehicle == k) for k in range(len(log_size))])
+    scale = SimpleNamespace(used=np.ones(len(log_size), bool), value=2.0)
+    return by_frame(log_size[vehicle, frame], np.array([f"{k:03d}" for k in frame]), votes, scale)
+
+
+def test_a_frame_is_held_against_the_middle_of_the_others():
+    frames, _ = by_frames(np.tile([0.0, 0.1, 0.3], (4, 1)))
+    strays = [np.log(frame.scale / 2.0) for frame in frames.values()]
+    assert strays == pytest.approx([0.2, 0.05, -0.25])
+
+
+def test_of_two_frames_that_disagree_nobody_knows_which_is_wrong():
+    sizes = np.full((12, 6), np.nan)
+    sizes[:8, :3] = 0.0
+    sizes[8:, 3:5] = [0.0, 0.3]
+    sizes[:2, 5] = 0.5  # nor do two boxes make a frame wrong
+    frames, odd = by_frames(sizes)
+    assert list(frames) == ["000", "001", "002"] and odd == []
+
+
+def test_chance_names_no_frame_and_what_is_more_than_chance_is_named():
+    """Six hundred frames of three vehicles each, whose sizes err by 6 %; ten of the frames are wrong."""
+    rng = np.random.default_rng(0)
+    sizes = np.full((200, 600), np.nan)
+    for frame in range(600):
+        sizes[rng.permutation(200)[:3], frame] = rng.normal(0, 0.06, 3) - 0.3 * (frame < 10)
+    named = np.array([int(name) for name, _ in by_frames(sizes)[1]])
+    assert (named < 10).sum() >= 9 and (named >= 10).sum() <= 2
+
+
+@pytest.mark.parametrize("stray, named", [(0.03, []), (-0.08, ["004"])])
+def test_what_hardly_matters_is_not_named_however_sure(stray, named):
+    sizes = np.random.default_rng(1).normal(0, 0.003, (40, 9)) - stray * (np.arange(9) == 4)
+    assert [name for name, _ in by_frames(sizes)[1]] == named
 
 
 def test_a_bent_model_shows_a_trend():

@@ -248,10 +248,10 @@ def _of_fleets(
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
         shared = {"fleet": drawing.covariance(fleet.class_mean_covariance(classes)), **known}
-        systematic = sum(shared.values(), np.zeros((2, 2)))
-        weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(seen))
+        systematic = _believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
-        mixes.append(Mix(classes, systematic, weights, fleet.place_vehicles))
+        # By what all votes share alone: the fit ties the two scales by that, and so has in it what votes scatter by.
+        mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))
     found = fit(seen, mixes, drawing, confusion)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
@@ -281,15 +281,18 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
     # Lengths and widths are tied beforehand by what both should say. So they have come nearer to each other: the
     # difference of the two in the posterior has a variance of what it was beforehand less what is left of that.
     apart = np.array([1.0, -1.0])
-    before = apart @ systematic @ apart
-    learnt = max(before - apart @ fits.of_known @ apart, LEAST_LEARNT * before)
-    tension = abs(estimates[0] - estimates[1]) / np.sqrt(learnt)
-    estimates = estimates + weights[::-1] * apart * (estimates[0] - estimates[1]) * (before / learnt - 1)
+    before, left = apart @ systematic @ apart, fits.of_known @ apart
+    learnt = max(before - apart @ left, LEAST_LEARNT * before)
+    difference = apart @ estimates
+    tension = abs(difference) / np.sqrt(learnt)
+    # What votes alone say of either: the one that they tell less well has come further. Of these, not of the two that
+    # are tied, `weights` below are in the answer.
+    estimates = estimates + left / (apart @ left) * difference * (before / learnt - 1)
     return _Vehicles(
         posterior=posterior,
         parts={"sampling": float(np.sqrt(sampling)), **parts},
         estimates=estimates,
-        weights=weights,
+        weights=weights - apart * (weights @ left) / before,
         tension=float(tension),
         larger_share=float(fits.member[-1].sum() / fits.member.sum()),
         inlier=fits.member.sum(0) > 0.5,
@@ -310,9 +313,14 @@ def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
     return np.diag(own) + ruler.common_sd**2
 
 
-def _combine(total: np.ndarray) -> np.ndarray:
-    """Weights of the best linear combination of two estimates; none below zero, because a negative weight trusts the
-    covariance's correlations more than they deserve."""
-    w = np.linalg.solve(total, np.ones(2))
-    w = np.clip(w / w.sum(), 0, 1)
+def _believed(covariance: np.ndarray) -> np.ndarray:
+    """(2, 2) `covariance` of two estimates with no more in common than either has: else one of them would have a
+    negative weight in the best combination, which trusts the correlation more than it deserves."""
+    common = min(covariance[0, 1], *np.diag(covariance))
+    return np.array([[covariance[0, 0], common], [common, covariance[1, 1]]])
+
+
+def _combine(covariance: np.ndarray) -> np.ndarray:
+    """(2,) weights of the best linear combination of two estimates, whose sum is 1."""
+    w = np.linalg.solve(covariance, np.ones(2))
     return w / w.sum()
