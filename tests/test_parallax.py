@@ -29,7 +29,7 @@ def boxes(lower, seed=0, vehicles=20, frames=9, noise=0.08, middle=MIDDLE * SIZE
     return place, foot, above, np.array([f"{k}.jpg" for k in frame]), vehicle
 
 
-@pytest.mark.parametrize("lower", [-2.0, 0.0, 4.0, 9.0])
+@pytest.mark.parametrize("lower", [-3.0, -2.0, 0.0, 4.0, 9.0, 13.0])
 def test_the_ground_is_found_where_the_sheet_is_not(lower):
     lower = np.full(20, lower)
     place, foot, above, picture, _ = boxes(lower)
@@ -37,7 +37,7 @@ def test_the_ground_is_found_where_the_sheet_is_not(lower):
     true = lower[0] / (HEIGHT - lower[0])
     assert np.median(stands.lower) == pytest.approx(true, abs=2.5 * np.median(stands.sd))
     assert np.median(stands.sd) < 0.01
-    assert (stands.trees > 0.9) == (lower[0] != 0)
+    assert stands.trees > 0.9 if lower[0] else stands.trees < 0.05
 
 
 @pytest.mark.parametrize("lower", [1.0, 2.0, 3.0])
@@ -64,6 +64,40 @@ def test_a_sheet_that_is_known_well_is_hardly_moved():
     stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.1))
     assert np.abs(stands.lower).max() < 0.004
     assert stands.trees < 0.5
+
+
+def test_what_stands_far_below_the_others_is_no_vehicle_and_does_not_move_the_ground():
+    place = np.random.default_rng(0).uniform(0, 60, (20, 2))
+    lower = np.where(np.arange(20) % 7 == 0, 9.0, 0.0)
+    seen = parallax._SeenVehicles(place, lower, np.full(20, 0.1))
+    stands = parallax._combined(seen, place, np.full(20, 0.15), np.full(20, HEIGHT), HEIGHT, MIDDLE_SD * SIZE[0])
+    assert stands.vehicles == 17 and stands.trees < 0.05
+    assert np.abs(stands.lower).max() < 0.002
+
+
+@pytest.mark.parametrize("frames", [2, 3, 6])
+def test_how_well_few_views_tell_where_a_vehicle_stands(frames):
+    pulls = []
+    for seed in range(4):
+        place, foot, above, picture, _ = boxes(np.full(100, 5.0), seed, 100, frames, noise=0.25, middle=0.0)
+        offset, start = (place - foot) / above[:, None], np.full(len(place), 5.0)
+        seen = parallax._triangulated(place, offset, picture, start, SIZE[1])
+        pulls.append((seen.lower - 5.0) / np.sqrt(seen.variance))
+    assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate(pulls)))) < 1.15
+
+
+def test_a_vehicle_whose_boxes_stray_is_less_certain_and_makes_no_other_so():
+    place, foot, above, picture, vehicle = boxes(np.full(60, 5.0), 1, 60, noise=0.1, middle=0.0)
+    straying = place + (vehicle < 4)[:, None] * np.random.default_rng(2).normal(0, 0.4, place.shape)
+    start = np.full(len(place), 5.0)
+    steady, mixed = (
+        parallax._triangulated(p, (p - foot) / above[:, None], picture, start, SIZE[1]) for p in (place, straying)
+    )
+    bad = mixed.place[:, 0] < 2.6 * 3.5
+    bad &= mixed.place[:, 1] < 6
+    assert len(mixed.lower) == len(steady.lower) == 60 and bad.sum() == 4
+    assert np.median(mixed.variance[~bad]) < 1.2 * np.median(steady.variance)
+    assert mixed.variance[bad].min() > 3 * np.median(steady.variance)
 
 
 @pytest.mark.parametrize("frames", [1, 9])
