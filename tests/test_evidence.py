@@ -336,6 +336,21 @@ def test_courts_and_containers_are_told_apart_by_their_shape():
     assert scale_by("swimming-pool", boxes, pixel) is None
 
 
+@pytest.mark.parametrize("stretched, found", [(1.0, 400), (1.12, 0)])
+def test_the_diagonal_of_a_box_errs_as_it_says_and_one_of_another_shape_is_no_court(stretched, found):
+    """Half of the variance of an edge is that of its box's other edges, too."""
+    court, rng = np.array([237.7, 109.7]), np.random.default_rng(0)
+    alike, own = rng.standard_normal((400, 1)), rng.standard_normal((400, 2))
+    size = court * (1, stretched) + EDGE_SD * np.sqrt(0.5) * (alike + own)
+    votes = standard_objects(
+        "tennis-court", known_objects()["tennis-court"][:1], size, np.ones(400), np.zeros((400, 2))
+    )
+    assert found * 0.98 <= len(votes) <= found
+    if votes:
+        error = np.log([vote.units / np.hypot(*court) for vote in votes])
+        assert np.std(error) == pytest.approx(np.mean([vote.relative_sd for vote in votes]), rel=0.1)
+
+
 @pytest.mark.parametrize("kind, built", [("container", 3), ("basketball-court", 3), ("tennis-court", 1)])
 def test_boxes_that_may_be_of_several_standards_are_as_good_as_they_say(kind, built):
     """Objects of any of the first `built` standards, boxed to EDGE_SD at 0.1 m/px, beside vehicles good to 5 %."""

@@ -67,9 +67,12 @@ def squeeze(boxes: Boxes, aspect: float = 1.0) -> Squeeze | None:
         step = float(weight @ (off * each)) / spread
         rest = each - step * off
         sd = max(ROBUST_SD * float(np.median(np.abs(rest - np.median(rest)))), SHAPE_RIDGE)
-        weight = np.clip(1 - (rest / (ODD_SHAPE_SIGMAS * sd)) ** 2, 0, None) ** 2
+        usual = np.clip(1 - (rest / (ODD_SHAPE_SIGMAS * sd)) ** 2, 0, None)
+        weight = usual**2
         found += step
         if abs(step) < SETTLED_SQUEEZE:
             break
-    own = float(np.sqrt(weight**2 @ (off * rest) ** 2)) / spread
+    # With the slope a biweight's sum moves by less than its weights, (1 - u^2) (1 - 5 u^2) each (Huber 1964).
+    moved = max(float(usual * (5 * usual - 4) @ off**2), spread / 2)
+    own = float(np.sqrt(weight**2 @ (off * rest) ** 2)) / moved
     return Squeeze(found, float(np.hypot(own, OF_SQUARE)))
