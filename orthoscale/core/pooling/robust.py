@@ -31,7 +31,7 @@ from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
 from .observed import Confusion, Drawing, Seen
-from .posterior import Posterior
+from .posterior import Posterior, of_median
 from .problem import Mix
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
@@ -170,7 +170,7 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own, else the ruler's; and what is not known of
     the ground under it, which its views share."""
     views = np.maximum(votes.views, 1)
-    variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 / views[:, None]
+    variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 * of_median(views)[:, None]
     if votes.sigma is not None:
         own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
         variance = np.where(np.isfinite(own), own, variance)
@@ -188,7 +188,7 @@ def _called(votes: Votes, ruler: Ruler) -> np.ndarray:
 
 def left_by_views(views: np.ndarray) -> np.ndarray:
     """(N,) share of a measured box's sigma that is left of it in the middle of so many `views` (N,) of one vehicle."""
-    return np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) / np.maximum(views, 1))
+    return np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) * of_median(np.maximum(views, 1)))
 
 
 def _of_candidates(
