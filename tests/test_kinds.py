@@ -9,6 +9,7 @@ from support.simulate import Vans, car_park
 
 from orthoscale.core.boxes import KINDS
 from orthoscale.core.detections import Detections
+from orthoscale.core.pooling.beside_fleet import LARGER, LORRIES, left_out
 from orthoscale.core.pooling.by_kind import country_likelihoods
 from orthoscale.core.pooling.observed import Confusion
 from orthoscale.core.pooling.robust import pool
@@ -149,6 +150,34 @@ def test_how_far_kinds_tell_the_country():
     assert ratio[0] < ratio[1] < ratio[2] < 1.5 * ratio[1] < 30
     assert min(of(1000, 0.6)) > 0.099, "one place in ten, a depot say, tells nothing"
     assert np.allclose(country_likelihoods(np.zeros((5, 4)), fleets, prior, confusion), 1)
+
+
+def as_simulated(counts, fleet, confusion, places=20_000):
+    """Log probability of `counts` (4,) at places that stray from their country, and so do the measurer's mistakes."""
+    rng, classes = np.random.default_rng(0), fleet.told_apart_by_kind
+    own = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+    larger, kinds = left_out(classes), np.array([c.kinds for c in (*classes, LARGER, LORRIES)])
+    each = []
+    for place in fleet.place_vehicles:
+        some = round(places * place.probability)
+        cars, others = 0.97 * (1 - larger) * place.shares(own), (0.97 * larger, 0.03)
+        standing = rng.dirichlet(place.vehicles * np.array([*cars, *others]) + 1e-9, some)
+        names = np.stack([rng.dirichlet(confusion.vehicles * row, some) for row in confusion.shares], 1)
+        called = 0.9 * np.einsum("nc,ck,nkj->nj", standing, kinds, names) + 0.1 / 4
+        each.append(np.log(called) @ counts)
+    return float(np.logaddexp.reduce(np.concatenate(each)))
+
+
+@pytest.mark.parametrize("pickups", [0.03, 0.2, 0.45])
+def test_kinds_are_as_likely_in_a_country_as_simulated_places_have_them(pickups):
+    fleets = [load_fleet(code) for code in ("US", "CN", "TH", "DE")]
+    confusion, prior = Confusion(np.array(TABLE), 12.0), np.full(4, 0.25)
+    shares = np.array([0.84 - pickups, pickups, 0.13, 0.03])
+    found = country_likelihoods(np.tile(shares, (20, 1)), fleets, prior, confusion)
+    simulated = np.array([as_simulated(20 * shares, fleet, confusion) for fleet in fleets])
+    expected = np.exp(simulated - simulated.max())
+    expected = 0.1 + 0.9 * expected / expected.mean()
+    assert np.abs(np.log(found / expected)).max() < 0.25
 
 
 def test_what_a_class_is_called_follows_its_kinds():
