@@ -11,6 +11,7 @@ from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
 from orthoscale.core.evidence import Support
 from orthoscale.core.measuring.drift import Drift
+from orthoscale.core.measuring.model_drift import ModelDrift, Trend
 from orthoscale.core.measuring.oblique import height_share
 from orthoscale.core.measuring.parallax import standing
 from orthoscale.core.measuring.systematic import Systematic
@@ -251,6 +252,8 @@ def test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_
     tilted = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, chance, 0.0, 1.0)
     bent = Drift(np.empty((0, 5)), (1.0, 1.0), 0.0, 0.01, 0.0, 1.0, tilt, chance)
     assert tilted.drifts == bent.drifts == bool(tilted.remark) == bool(bent.remark) == drifts
+    models = [ModelDrift({}, [], [], t) for t in (Trend(100 * tilt, chance), Trend(0.0, 1.0, 100 * tilt, chance))]
+    assert [model.drifts for model in models] == [bool(model.warnings) for model in models] == [drifts] * 2
 
 
 @pytest.mark.parametrize("cores, asked, workers, each", [

@@ -130,6 +130,17 @@ def test_a_strip_without_breadth_has_a_trend_all_the_same():
     assert trend.bend_chance < 1e-3 and trend.percent_bent == pytest.approx(25, rel=0.3)
 
 
+def test_what_a_bowl_adds_is_told_apart_from_the_tilt():
+    """Over a square, 10 % from side to side, and 8 % more from the middle to all sides."""
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 9)])
+    plan = 200 * np.column_stack([x.ravel(), y.ravel()])
+    tilted = trend_of(0.05 * x.ravel(), plan)
+    both = trend_of((0.05 * x + 0.04 * (x**2 + y**2)).ravel(), plan)
+    for trend, bent in ((tilted, 0.0), (both, 8.0)):
+        assert (trend.percent_across, trend.percent_bent) == pytest.approx((10.0, bent), abs=0.5)
+    assert ModelDrift({}, [], [], Trend(3.0, 1e-6, 4.0, 1e-6)).amplitude == pytest.approx(0.05)
+
+
 def test_few_vehicles_have_no_trend():
     assert trend_of(np.zeros(6), np.random.default_rng(0).uniform(size=(6, 2)), 5.0) is None
 

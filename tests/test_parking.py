@@ -63,6 +63,17 @@ def test_the_pitch_is_known_as_well_as_rows_agree_on_it():
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) / claimed < 1.2
 
 
+@pytest.mark.parametrize("turned, ahead", [(np.radians(15), 0.0), (0.0, 2.0)], ids=["turned", "one behind another"])
+def test_vehicles_that_are_not_side_by_side_make_no_row(turned, ahead):
+    """Every other one is turned, or stands two metres ahead: in lanes and along kerbs they have a distance, too."""
+    rng = np.random.default_rng(0)
+    place, along, size = car_park(rng, heading=0.0, taken=1.0, rows=2)
+    odd = np.arange(len(place)) % 2 == 1
+    angle = np.arctan2(along[:, 1], along[:, 0]) + turned * odd
+    place = place + odd[:, None] * np.array([ahead / GSD, 0.0])
+    assert parking_pitch(place, np.stack([np.cos(angle), np.sin(angle)], -1), size, STALLS, "DE") is None
+
+
 def test_vehicles_without_rows_have_no_pitch():
     rng = np.random.default_rng(1)
     _, along, size = car_park(rng)
