@@ -72,6 +72,13 @@ def test_the_middle_of_the_blocks_is_known_as_well_as_is_said():
         assert np.std(pixels) / 15 == pytest.approx(np.sqrt(np.mean(sd**2)), rel=0.12)
 
 
+@pytest.mark.parametrize("askew", [-0.2, 0.0, 0.1])
+def test_a_pitch_is_square_to_the_way_of_the_lines_however_they_are_crossed(askew):
+    row = fit_row(15 / np.cos(askew) * np.arange(6), np.arange(6))
+    blocks = [Block(np.array([30.0 * k, 0.0]), askew, row, 1.0) for k in range(12)]
+    assert comb_anchor(blocks, "lanes", (), 0.1).pixels == pytest.approx(15)
+
+
 @pytest.mark.slow
 def test_a_bent_track_and_one_with_dark_rails():
     bent = one(RailTracks().find(railway(track(), 0.07, 50, bend=1 / 600), 0.07, 0.06, "DE"), 1.435 + HEAD)

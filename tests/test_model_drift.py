@@ -91,6 +91,17 @@ def test_chance_names_no_frame_and_what_is_more_than_chance_is_named():
     assert (named < 10).sum() >= 9 and (named >= 10).sum() <= 2
 
 
+@pytest.mark.parametrize("vehicles", [3, 25])
+def test_the_scale_of_a_frame_is_known_as_well_as_is_said(vehicles):
+    rng = np.random.default_rng(0)
+    sizes = np.full((12 * vehicles, 150), np.nan)
+    for frame in range(150):
+        sizes[rng.permutation(12 * vehicles)[:vehicles], frame] = rng.normal(0, 0.06, vehicles)
+    frames, _ = by_frames(sizes)
+    pulls = [np.log(frame.scale / 2.0) / (frame.sd / 2.0) for frame in frames.values()]
+    assert len(pulls) == 150 and 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.08
+
+
 @pytest.mark.parametrize("stray, named", [(0.03, []), (-0.08, ["004"])])
 def test_what_hardly_matters_is_not_named_however_sure(stray, named):
     sizes = np.random.default_rng(1).normal(0, 0.003, (40, 9)) - stray * (np.arange(9) == 4)

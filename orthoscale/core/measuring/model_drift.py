@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..pooling.posterior import OF_MEDIAN, ROBUST_SD
+from ..pooling.posterior import ROBUST_SD, of_median
 from ..scale import Scale
 from ..votes import Votes
 from .drift import CHANCE, NOTABLE
@@ -152,7 +152,7 @@ def by_frame(
         mine = stray[known & (picture == name)]
         if len(mine) < MIN_SHARED:
             continue
-        middle, sd = float(np.median(mine)), OF_MEDIAN * spread / np.sqrt(len(mine))
+        middle, sd = float(np.median(mine)), spread * np.sqrt(of_median(len(mine)))
         frames[str(name)] = FrameScale(float(scale.value * np.exp(middle)), float(scale.value * sd), len(mine))
         if abs(middle) > max(ODD_STRAY, ODD_SIGMAS * sd):
             odd.append((str(name), float(np.expm1(middle))))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 Z90 = 1.6449  # two-sided 90 % of a normal distribution, in standard deviations
@@ -105,7 +106,7 @@ class Posterior:
         return log_weight - 0.5 * (self.mean[:, None] - other.mean) ** 2 / total
 
 
-def of_median(count: np.ndarray) -> np.ndarray:
-    """(N,) variance of the median of so many (N,) normal values, as a share of one value's: OF_MEDIAN squared over their
-    number where they are many; too large by a tenth where they are four, by a fifth where they are two."""
-    return OF_MEDIAN**2 / (count + OF_MEDIAN**2 - 1)
+def of_median(count: ArrayLike) -> np.ndarray:
+    """(N,) variance of the median of so many (N,) normal values, as a share of one value's. Near that of odd numbers;
+    too large by a tenth for four values, by a fifth for two."""
+    return OF_MEDIAN**2 / (np.asarray(count) + OF_MEDIAN**2 - 1)
