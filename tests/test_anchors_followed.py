@@ -11,7 +11,7 @@ from support.markings import PAINT, picture, stroke
 from support.rails import RUST, SLAB, railway, track
 from support.running import LAWN, RED, running_track
 
-from orthoscale.anchors.combs import Block, comb_anchor
+from orthoscale.anchors.combs import Block, Comb, _of_true_lines, comb_anchor
 from orthoscale.anchors.gridiron import Gridirons
 from orthoscale.anchors.ovals import KERB, TrackOvals
 from orthoscale.anchors.periods import fit_row
@@ -51,8 +51,9 @@ def test_the_country_says_which_gauge(gauge, country):
     "country, gauges", (("AU", (1.067, 1.435, 1.6)), ("BD", (1.0, 1.676)), ("VN", (1.0, 1.435)), ("FR", (1.435,)))
 )
 def test_a_country_may_have_several_gauges(country, gauges):
-    metres = sorted(standard.metres - HEAD for standard in holding(RailTracks().standards, country))
-    assert metres == pytest.approx(gauges)
+    standards = holding(RailTracks().standards, country)
+    assert sorted(standard.metres - HEAD for standard in standards) == pytest.approx(gauges)
+    assert all(0.007 < standard.relative_sd < 0.016 for standard in standards), "rails are seen to a centimetre or two"
 
 
 def test_the_middle_of_the_blocks_is_known_as_well_as_is_said():
@@ -77,6 +78,19 @@ def test_a_pitch_is_square_to_the_way_of_the_lines_however_they_are_crossed(aske
     row = fit_row(15 / np.cos(askew) * np.arange(6), np.arange(6))
     blocks = [Block(np.array([30.0 * k, 0.0]), askew, row, 1.0) for k in range(12)]
     assert comb_anchor(blocks, "lanes", (), 0.1).pixels == pytest.approx(15)
+
+
+def test_where_bright_ground_begins_there_is_no_line():
+    """Six lines, and an edge where the seventh would be, which drew the pitch to itself."""
+    at = np.array([20.0, 35, 50, 65, 80, 95, 111])
+    light = np.full((140, 400), 100, np.float32)
+    light[np.abs(np.arange(140)[:, None] - at[:6]).min(1) <= 1] = 200
+    light[110:] = 200
+    row = fit_row(at - 20, np.arange(7))
+    blocks = [Block(np.array([20.0 + 30 * k, 20.0]), 0.0, row, 1.0) for k in range(12)]
+    true = _of_true_lines(light, blocks, Comb(12.0, 18.0, 5, 12, 30.0, 120.0, 3.0))
+    assert len(true) == 12 and all(len(block.row.number) == 6 for block in true)
+    assert comb_anchor(true, "lanes", (), 0.1).pixels == pytest.approx(15) != pytest.approx(row.period)
 
 
 @pytest.mark.slow
