@@ -45,6 +45,7 @@ def test_the_gauge_of_a_track(gsd, turn):
 def test_the_country_says_which_gauge(gauge, country):
     anchor = one(RailTracks().find(railway(track(gauge=gauge), 0.08, 50), 0.08 * 0.95, 0.06, country), gauge + HEAD)
     assert anchor.pixels * 0.08 == pytest.approx(gauge + HEAD, rel=0.005)
+    assert LOCAL_STRETCH < anchor.relative_sd < 2 * LOCAL_STRETCH, "pictures are stretched here and there"
 
 
 @pytest.mark.parametrize(

@@ -159,6 +159,14 @@ def test_many_mistakes_in_a_large_picture_do_not_outvote_few_vehicles(count, luc
     assert choice.vehicle_px == pytest.approx(160, rel=0.15) and choice.as_likely is None
 
 
+@pytest.mark.parametrize("count, found", [(1, False), (12, True)])
+def test_one_thing_that_two_zooms_agree_on_is_no_size_of_vehicles(count, found):
+    picture = Windows(1700)
+    detector = Seen(picture, scattered(1, 1700, 60, count), np.ones(count))
+    choice = search_zoom([picture], detector, detector.card)
+    assert (choice.vehicle_px is not None) == found and choice.votes > 0
+
+
 @pytest.mark.parametrize("other", [20, 90])
 def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_them(other):
     side = 1700  # small enough to be looked at as a whole
