@@ -7,13 +7,16 @@ import pickle
 import re
 
 import numpy as np
+import pycolmap
 import pytest
 from support.models import make_model, put_frames, save
-from support.other_programs import K1, K2, bundler, nvm, rescaled, same_views
+from support.other_programs import K1, K2, bundler, nerfstudio, nvm, opensfm, process_data, rescaled, same_views
 
+from orthoscale.actions.apply import apply
 from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.geometry.files import ONE_FILE
+from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.formats.geometry.text_models import FIRST_OF_MANY, read_text_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
@@ -91,6 +94,29 @@ def test_written_again_in_metres(made, tmp_path, writer):
     with pytest.raises(UsageError, match="in metres already"):
         fix(tmp_path / "out", tmp_path / "again", fleet="DE", images=tmp_path / "in/images",
             detections=tmp_path / "boxes.json")  # fmt: skip
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm, opensfm, nerfstudio, process_data])
+def test_a_scale_is_not_applied_to_another_programs_model_of_another_unit(pinhole, tmp_path, writer):
+    """Only COLMAP's were compared with the one that was scaled."""
+    Sim3(2.0).save(save(pinhole[0], tmp_path / "colmap", "bin"))
+    metric, other = (pycolmap.Reconstruction(tmp_path / "colmap") for _ in range(2))
+    metric.transform(pycolmap.Sim3d(2.0, pycolmap.Rotation3d(), np.zeros(3)))
+    metric.write_binary(str(tmp_path / "colmap"))
+    other.transform(pycolmap.Sim3d(1.3, pycolmap.Rotation3d(), np.zeros(3)))
+    paths = []
+    for name, model in (("same", pinhole[0]), ("other", other)):
+        path = writer(model, tmp_path / name)
+        paths.append(path or tmp_path / name / "transforms.json")
+    apply(tmp_path / "colmap/sim3.json", paths[0], tmp_path / "out")
+    with pytest.raises(UsageError, match=f"{paths[1]} is another model than the one that was scaled: .*png stands"):
+        apply(tmp_path / "colmap/sim3.json", paths[1], tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    if writer in (opensfm, nerfstudio):  # and where the one that was scaled is no model of COLMAP's
+        Sim3(2.0).save(tmp_path / "out")
+        with pytest.raises(UsageError, match="is another model"):
+            apply(tmp_path / "out/sim3.json", paths[1], tmp_path / "none")
+        apply(tmp_path / "out/sim3.json", save(pinhole[0], tmp_path / "sparse", "bin"), tmp_path / "more")
 
 
 def test_a_camera_number_of_hundreds_of_digits_is_damage(pinhole, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import UsageError
 from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.sim3 import Sim3
-from ..sources.colmap import metric_cameras_of
+from ..sources.cameras import MODELS, metric_cameras
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
 from ..system.paths import path_of, paths_of
@@ -35,7 +35,9 @@ def apply(
     with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out)
         scale = Sim3.load(sim3).scale
-        metric = metric_cameras_of(sim3.parent) if any(path.is_dir() for path in given) else {}
+        metric = (
+            metric_cameras(sim3.parent) if any(path.is_dir() or path.suffix.lower() in MODELS for path in given) else {}
+        )
         for path, name in zip(given, names, strict=True):
             target = folder / name
             if path.is_dir():

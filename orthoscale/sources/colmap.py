@@ -24,6 +24,7 @@ from ..formats.geometry.lengthless import has_lengths
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number, pixel
 from ..system.signatures import FOLDER_MARK
+from .cameras import SCALED_MARK, cameras_of, refuse_another
 from .colmap_check import open_model
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
@@ -46,14 +47,10 @@ if TYPE_CHECKING:
     import pycolmap
 
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
-# Of how far a model's cameras and its origin lie apart: one that was adjusted once more stays within it, another one
-# does not.
-ANOTHER_MODEL = 0.02
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 FEW_POINTS = 500  # of three views or more, below which those of two are taken as well; chosen by eye, not tuned
 FAR_OFF = 100.0  # extents of the cameras from the origin: maps' coordinates; reconstructions begin among their cameras
 GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit is no accident
-SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
 OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
@@ -361,17 +358,16 @@ class ColmapSource:
             if os.path.realpath(sparse) == os.path.realpath(self.folder):
                 continue
             apart = self._apart(cameras_of(sparse))
-            if not apart or max(apart.values()) > SAME_CAMERA * self.camera_height:
+            if not apart or max(apart) > SAME_CAMERA * self.camera_height:
                 raise InputError(
                     f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
                     "It may be from another run or in metres already: run image_undistorter again.",
                 )
         return folder
 
-    def _apart(self, cameras: Mapping[str, np.ndarray], scale: float = 1.0) -> dict[str, float]:
-        """How far the cameras of this model, `scale` times as large, stand from those of the same names."""
-        common = [name for name in self._images if name in cameras]
-        return {name: float(np.linalg.norm(scale * self.centre(name) - cameras[name])) for name in common}
+    def _apart(self, cameras: Mapping[str, np.ndarray]) -> list[float]:
+        """How far the cameras of this model stand from those of the same names."""
+        return [float(np.linalg.norm(self.centre(name) - cameras[name])) for name in self._images if name in cameras]
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
@@ -404,19 +400,6 @@ def _reopened(
     return replace(kind.open(path, images, need), cloud=cloud, notes=notes)
 
 
-def cameras_of(folder: Path) -> dict[str, np.ndarray]:
-    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name. Raises InputError."""
-    model = read_model(folder, open_model(folder).format)
-    return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
-
-
-def metric_cameras_of(folder: Path) -> dict[str, np.ndarray]:
-    """`cameras_of` the scaled model in `folder` [m]; none where there is none."""
-    images = [folder / f"images.{form}" for form in ("bin", "txt")]
-    there = (folder / SCALED_MARK).is_file() and any(path.is_file() for path in images)
-    return cameras_of(folder) if there else {}
-
-
 def scale_model(
     source: Path, target: Path, scale: float, metric: Mapping[str, np.ndarray] = MappingProxyType({})
 ) -> None:
@@ -428,14 +411,7 @@ def scale_model(
     model = ColmapSource.open(source, need_images=False)
     if model.scaled_already:
         raise UsageError(f"{source} is in metres already: {model.scaled_already}", "Apply it to the original model.")
-    apart = model._apart(metric, scale)
-    extent = float(np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0)))
-    if apart and max(apart.values()) > ANOTHER_MODEL * extent:
-        farthest = max(apart, key=apart.__getitem__)
-        raise UsageError(
-            f"{source} is another model than the one that was scaled: {farthest} stands elsewhere",
-            "Give the sim3.json that `orthoscale fix` wrote for this model; each has a scale of its own.",
-        )
+    refuse_another(source, {name: model.centre(name) for name in model._images}, metric, scale)
     model.write(target, scale)
 
 

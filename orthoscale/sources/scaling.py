@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
 from ..formats.geometry.files import WrittenFiles, scale_file
+from .cameras import cameras_in, refuse_another
 from .colmap import scale_model, scale_workspace
 from .colmap_check import model_folders
 
@@ -34,7 +35,10 @@ def scale_path(
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{source} does not exist", "Give files in the units of the model.")
     if not source.is_dir():
-        return scale_file(source, target, scale, others)
+        notes = scale_file(source, target, scale, others)
+        if metric:
+            refuse_another(source, cameras_in(source), metric, scale)
+        return notes
     if is_dense(source):
         return scale_workspace(source, target, scale, metric)
     if len(models := model_folders(source)) > 1:

@@ -5,7 +5,6 @@ Their files do not state the sizes of the images, so the frames are needed.
 
 from __future__ import annotations
 
-import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
@@ -16,8 +15,7 @@ import numpy as np
 from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
-from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, read_text_model
-from ..formats.reading import read_text
+from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, listed_names, read_text_model
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .fingerprint import Stamp
 from .frames import find_frames, image_folder
@@ -39,7 +37,7 @@ class TextSource(OneFileSource):
         path = Path(path)
         stamp = Stamp.of(path)
         text = read_text_model(path)
-        names, lists = (text.names, []) if text.names is not None else _listed(path, len(text.focal))
+        names, lists = (text.names, []) if text.names is not None else listed_names(path, len(text.focal))
         wanted = sorted({_clean(name) for name, focal in zip(names, text.focal, strict=True) if focal > 0})
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
@@ -62,30 +60,12 @@ class TextSource(OneFileSource):
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
-        names = text.names if text.names is not None else _listed(out, len(text.focal))[0]
+        names = text.names if text.names is not None else listed_names(out, len(text.focal))[0]
         return _built(out, text, names, {name: self.image_size(name) for name in self.picture_names})
 
 
 def _clean(name: str) -> str:
     return PureWindowsPath(name).as_posix()  # VisualSFM is at home on Windows
-
-
-def _listed(path: Path, count: int) -> tuple[list[str], list[Path]]:
-    """The names of Bundler's images, in the order of its cameras, and the list that holds them."""
-    places = [path.with_name("list.txt"), path.parent.parent / "list.txt"]
-    if path.name.endswith("bundle.out") and path.name != "bundle.out":  # COLMAP writes x.bundle.out, x.list.txt
-        places.insert(0, path.with_name(path.name.removesuffix("bundle.out") + "list.txt"))
-    found = next((place for place in places if place.is_file()), None)
-    if found is None:
-        raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
-    text = read_text(found, "It is Bundler's list of images.")
-    # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
-    names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in text.splitlines() if line.strip()]
-    if len(names) != count:
-        raise InputError(
-            f"{found} names {len(names)} images, {path} has {count} cameras", "Give the list it came from."
-        )
-    return names, [found]
 
 
 def _size(path: Path) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...errors import InputError, UsageError
 from ..reading import HUGE, checked, read_plain
@@ -33,6 +34,17 @@ def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     else:
         checked(text, Transforms, str(path), "a transforms.json", POSES_HINT)
     return text
+
+
+def camera_centres(text: dict[str, Any] | list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """(3,) where each camera stands, by its image's name, of what `read_poses` gave; of several reconstructions that of
+    the first."""
+    if isinstance(text, dict):
+        return {frame["file_path"]: np.array(frame["transform_matrix"], float)[:3, 3] for frame in text["frames"]}
+    return {
+        name: -Rotation.from_rotvec(shot["rotation"]).inv().apply(shot["translation"])
+        for name, shot in text[0]["shots"].items()
+    }
 
 
 def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred, list[str]]:

@@ -6,6 +6,7 @@ parser marks which words of a line are lengths: reading and scaling share it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InputError
+from ..reading import read_text
 
 BUNDLER, NVM = ".out", ".nvm"
 SUFFIXES = (BUNDLER, NVM)
@@ -75,6 +77,24 @@ def read_text_model(path: Path) -> TextModel:
         return model
     except (ValueError, OverflowError) as error:  # the latter of a whole number with hundreds of digits
         raise _damaged(path, str(error)) from error
+
+
+def listed_names(path: Path, count: int) -> tuple[list[str], list[Path]]:
+    """The names of Bundler's images, in the order of its cameras, and the list that holds them. Raises InputError."""
+    places = [path.with_name("list.txt"), path.parent.parent / "list.txt"]
+    if path.name.endswith("bundle.out") and path.name != "bundle.out":  # COLMAP writes x.bundle.out, x.list.txt
+        places.insert(0, path.with_name(path.name.removesuffix("bundle.out") + "list.txt"))
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
+    text = read_text(found, "It is Bundler's list of images.")
+    # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
+    names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in text.splitlines() if line.strip()]
+    if len(names) != count:
+        raise InputError(
+            f"{found} names {len(names)} images, {path} has {count} cameras", "Give the list it came from."
+        )
+    return names, [found]
 
 
 def scale_text_model(source: Path, target: Path, scale: float) -> list[str]:

@@ -1,0 +1,92 @@
+"""Where the cameras of a model stand, in any of the formats, and whether two models are one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from ..errors import InputError, UsageError
+from ..formats.geometry.poses import camera_centres, read_poses
+from ..formats.geometry.text_models import SUFFIXES, listed_names, read_text_model
+from .colmap_check import open_model
+from .colmap_write import read_model
+from .exchange_files import find_exchange
+
+# Of how far a model's cameras, or they and its origin, lie apart: one that was adjusted once more stays within it,
+# another one does not.
+ANOTHER_MODEL = 0.02
+MODELS = (".json", *SUFFIXES)  # endings of other programs' models
+SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
+
+
+def cameras_of(folder: Path) -> dict[str, np.ndarray]:
+    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name. Raises InputError."""
+    model = read_model(folder, open_model(folder).format)
+    return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
+
+
+def cameras_in(path: Path) -> dict[str, np.ndarray]:
+    """The same of another program's model in the file `path`; none for other files, and where names are missing.
+    Raises InputError for a damaged one."""
+    if path.suffix.lower() == ".json":
+        return camera_centres(read_poses(path))
+    if path.suffix.lower() not in SUFFIXES:
+        return {}
+    text = read_text_model(path)
+    try:
+        names = text.names or listed_names(path, len(text.focal))[0]
+    except InputError:  # it can be scaled without
+        return {}
+    centres = -np.einsum("nji,nj->ni", text.rotation, text.translation)
+    there = text.focal > 0
+    return {name: centre for name, centre, known in zip(names, centres, there, strict=True) if known}
+
+
+def metric_cameras(folder: Path) -> dict[str, np.ndarray]:
+    """Those of the scaled model in `folder` [m], of any format; none where there is none. Raises InputError."""
+    if not (folder / SCALED_MARK).is_file():
+        return {}
+    if any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
+        return cameras_of(folder)
+    other = find_exchange(folder)
+    return {} if other is None else cameras_in(other)
+
+
+def refuse_another(
+    source: Path, cameras: Mapping[str, np.ndarray], metric: Mapping[str, np.ndarray], scale: float
+) -> None:
+    """Raise UsageError where `cameras` of the model `source`, `scale` times as large, stand elsewhere than those of the
+    same names in `metric` [m]: from the origin, and from the middle of all, since programs turn and shift models."""
+    names = _common(cameras, metric)
+    if not names:
+        return
+    here = scale * np.array([cameras[name] for name in names])
+    there = np.array([metric[name] for name in names.values()])
+    apart = np.linalg.norm(here - there, axis=1) / np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0))
+    if (extent := np.linalg.norm(np.ptp(there, axis=0))) > 0:
+        out, away = (np.linalg.norm(places - places.mean(axis=0), axis=1) for places in (here, there))
+        apart = min(apart, np.abs(out - away) / extent, key=np.max)
+    if apart.max() > ANOTHER_MODEL:
+        raise UsageError(
+            f"{source} is another model than the one that was scaled: {list(names)[apart.argmax()]} stands elsewhere",
+            "Give the sim3.json that `orthoscale fix` wrote for this model; each has a scale of its own.",
+        )
+
+
+def _common(one: Mapping[str, object], other: Mapping[str, object]) -> dict[str, str]:
+    """Names in `one` of the images that `other` has too, and what that calls them: the same, or else the same without
+    the folders, which programs add and leave out."""
+    if same := {name: name for name in one if name in other}:
+        return same
+    mine, theirs = _without_folders(one), _without_folders(other)
+    return {mine[end]: theirs[end] for end in mine if end in theirs}
+
+
+def _without_folders(names: Mapping[str, object]) -> dict[str, str]:
+    """`names` by their ends, those that are the only ones with such an end."""
+    ends = {name: PurePosixPath(name.replace("\\", "/")).name for name in names}
+    count = Counter(ends.values())
+    return {end: name for name, end in ends.items() if count[end] == 1}
