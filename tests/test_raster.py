@@ -891,6 +891,17 @@ def test_different_nodata_per_band_becomes_a_mask(tmp_path):
         assert not d.dataset_mask()[:50].any() and np.array_equal(d.read(), pixels)
 
 
+@pytest.mark.parametrize("cog", [False, True])
+def test_no_lower_page_keeps_the_former_georeferencing(tmp_path, cog):
+    path = make(tmp_path / "a.tif", **UTM)
+    make(path, scene(1), APPEND_SUBDATASET="YES", **UTM)
+    source = RasterSource.open(path)
+    source.write(tmp_path / "b.tif", 0.2, cog=cog)
+    assert any("b.tif has only the first of the 2 images" in note.text for note in source.notes)
+    with rasterio.open(tmp_path / "b.tif") as copy:
+        assert not copy.subdatasets and np.array_equal(copy.read(), scene())
+
+
 @pytest.mark.parametrize("scale", [0, -0.1, math.nan, math.inf])
 def test_senseless_scales(tmp_path, scale):
     source = RasterSource.open(make(tmp_path / "a.tif"))

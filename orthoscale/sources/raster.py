@@ -362,8 +362,8 @@ class RasterSource:
     def write(self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False) -> None:
         """Write a GeoTIFF with the same pixels and the measured scale.
 
-        A TIFF is copied and only its georeferencing is replaced; any other format is written losslessly (deflate,
-        tiles, BigTIFF by need). Bands, type, nodata, alpha, mask, palette, tags and overviews stay. Former
+        A TIFF of one image is copied and only its georeferencing is replaced; anything else is written losslessly
+        (deflate, tiles, BigTIFF by need), of several images the first. Bands, type, nodata, alpha, mask, palette, tags and overviews stay. Former
         georeferencing, ground control points and rational polynomials do not; `notes` says so.
         The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
 
@@ -392,6 +392,8 @@ class RasterSource:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
         if original.has_several_nodata:
             notes.append(f"bands of {self.name} have several values for no data, a GeoTIFF one: {path.name} has a mask")
+        if original.images > 1:
+            notes.append(f"{path.name} has only the first of the {original.images} images in {self.name}")
         self.notes += [note for note in informing(notes) if note not in self.notes]
 
 

@@ -81,6 +81,11 @@ class Original:
         return self.dataset.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG"
 
     @property
+    def images(self) -> int:
+        """How many there are in its file."""
+        return max(1, len(self.dataset.subdatasets))
+
+    @property
     def has_several_nodata(self) -> bool:
         """Whether its bands have different nodata values; a GeoTIFF has room for one, and the copy gets a mask."""
         return len(self._nodata()) > 1 and not self._has_transparent_colour
@@ -91,11 +96,13 @@ class Original:
         return _TRANSPARENT in self.dataset.tags()
 
     def _can_be_copied(self) -> bool:
-        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
-        with room for a new directory at its end if it is a classic one, whose offsets have 32 bits."""
+        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those) or
+        other images (which would keep their former georeferencing), and with room for a new directory at its end if it
+        is a classic one, whose offsets have 32 bits."""
         dataset = self.dataset
         in_one_file = not any(f.endswith(".msk") for f in dataset.files) and not self.has_several_nodata
-        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs and self._has_room()
+        alone = not dataset.rpcs and self.images == 1
+        return dataset.driver == "GTiff" and in_one_file and alone and self._has_room()
 
     def _has_room(self) -> bool:
         with self.path.open("rb") as file:
