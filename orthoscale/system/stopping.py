@@ -18,6 +18,11 @@ written: list[str] = []  # outputs that are in their places already
 _state = {"received": 0, "held": 0}
 
 
+class Stopped(KeyboardInterrupt):
+    """A signal asks to stop. Not KeyboardInterrupt itself: where that passes through exec, as of a dataclass that is
+    being made, Python remembers it as unhandled and ends with SIGINT, whatever exit code it was given."""
+
+
 def sentence() -> str:
     """What a stopped run leaves."""
     return "stopped; " + (f"already written: {', '.join(written)}" if written else "nothing was written")
@@ -41,12 +46,12 @@ def leave_at_once() -> None:
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """A signal raises KeyboardInterrupt, so that what was begun is cleaned away; the former handlers come back."""
+    """A signal raises Stopped, so that what was begun is cleaned away; the former handlers come back."""
 
     def heard(number: int, frame: FrameType | None) -> None:
         _state["received"] = number
         if not _state["held"]:
-            raise KeyboardInterrupt
+            raise Stopped
 
     written.clear()
     _state.update(received=0, held=0)
@@ -71,9 +76,9 @@ def held() -> Iterator[None]:
 
 
 def check() -> None:
-    """Raise KeyboardInterrupt if a signal came while they were held, or a library swallowed the exception."""
+    """Raise Stopped if a signal came while they were held, or a library swallowed the exception."""
     if _state["received"]:
-        raise KeyboardInterrupt
+        raise Stopped
 
 
 def over() -> None:
