@@ -12,6 +12,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputErr
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
 from orthoscale.system.signatures import FOLDER_MARK, ours, signature
+from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -578,6 +580,29 @@ def test_a_signal_waits_while_files_change_places_and_is_not_forgotten(ctrl_c_is
             pass  # as a library may
         with pytest.raises(KeyboardInterrupt):
             stopping.check()
+
+
+def test_a_signal_while_a_class_is_made_does_not_change_the_exit_code():
+    """Python ends with SIGINT where a KeyboardInterrupt passed through exec, as dataclasses use it."""
+    late = "import os, signal; os.kill(os.getpid(), signal.SIGTERM)\nfor _ in range(100): pass"
+    program = (
+        "from orthoscale.system import stopping\n"
+        f"try:\n with stopping.listening(): exec({late!r})\n"
+        "except KeyboardInterrupt: raise SystemExit(stopping.exit_code())"
+    )
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 143
+
+
+def test_a_second_signal_waits_for_threads_too(ctrl_c_is_heard):
+    """A network that a thread was still in aborted the process while Python ended."""
+    done = []
+    with pytest.raises(KeyboardInterrupt), stopping.listening(), Threads(1) as pool:
+        pool.submit(lambda: (time.sleep(0.3), done.append("begun")))
+        pool.submit(done.append, "not begun")
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    assert done == ["begun"]
 
 
 def test_what_is_stopped_says_no_output_that_goes_with_another(tmp_path):

@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
@@ -28,6 +28,7 @@ from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
 from ..system.budget import allow, memory
+from ..system.threads import Threads
 from .check import checked
 from .estimate import measured
 from .finished import finished
@@ -211,15 +212,15 @@ def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
         finally:
             free.put(child)
 
-    pool = ThreadPoolExecutor(len(children))
-    try:
-        futures = {pool.submit(give, job): k for k, job in enumerate(todo)}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        for child in children:
-            child.end()
-        pool.shutdown(wait=True, cancel_futures=True)
+    with Threads(len(children)) as pool:
+        try:
+            futures = {pool.submit(give, job): k for k, job in enumerate(todo)}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            with stopping.held():  # another signal must not leave one of them alone at its work
+                for child in children:
+                    child.end()
 
 
 class _Child:

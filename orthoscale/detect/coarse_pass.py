@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from ..core.detections import Tile
 from ..core.source import Picture
+from ..system.threads import Threads
 from .detector import Detector
 from .tiles import look
 
@@ -38,7 +38,7 @@ def coarse_pass(
 
     weight = np.full(len(jobs), UNPROMISING)
     chosen = np.sort(order[:FAR_TILES]).tolist()
-    with ThreadPoolExecutor(workers) as pool:
+    with Threads(workers) as pool:
         for k, promised in enumerate(pool.map(lambda number: hint(jobs[number], detect), chosen)):
             weight[chosen[k]] = 1.0 if promised else UNPROMISING
             if progress:

@@ -9,7 +9,6 @@ that a margin in pixels is the same on average.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.progress import Progress
 from ..core.source import Picture
+from ..system.threads import Threads
 from .tiles import Detect, place, read, tiles
 
 FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which a median says more than a single box
@@ -58,7 +58,7 @@ def refined(
         for tile in _with_vehicles(tiles(picture, zoom * view.zoom), found.get(picture.name, Boxes.empty()))
     ]
     seen: dict[tuple[str, int], list[Boxes]] = {}
-    with ThreadPoolExecutor(workers) as pool:
+    with Threads(workers) as pool:
         looks = pool.map(lambda job: look_turned(job[0], job[1], VIEWS[job[2]].quarters, detect), jobs)
         for done, ((picture, _, number), boxes) in enumerate(zip(jobs, looks, strict=True), 1):
             seen.setdefault((picture.name, number), []).append(boxes)

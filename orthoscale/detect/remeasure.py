@@ -8,7 +8,6 @@ scores, and these tell by how much the detector's boxes of this scene are too la
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -22,6 +21,7 @@ from ..core.progress import Progress
 from ..core.remarks import amount, signed
 from ..core.ruler import Ruler
 from ..core.source import Picture
+from ..system.threads import Threads
 from .cache import Kept, as_text, content_key
 from .enlarged import enlargement
 from .find import Effort
@@ -147,7 +147,7 @@ def _looked_at(
         rows[name] = [_kept(kept, pictures[name], box) for box in boxes.xylwa]
         new = [k for k, row in enumerate(rows[name]) if row is None]
         jobs += [(name, np.array(new[k : k + AT_A_TIME])) for k in range(0, len(new), AT_A_TIME)]
-    with ThreadPoolExecutor(workers) as pool:
+    with Threads(workers) as pool:
         looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]], enlarged=enlarged), jobs)
         for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
             for k, row in zip(index, look.rows, strict=True):

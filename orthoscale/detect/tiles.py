@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -15,6 +14,7 @@ from ..core.boxes import Boxes, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
+from ..system.threads import Threads
 from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector
 from .filled import one_grey
 
@@ -131,7 +131,7 @@ def sweep(
     """
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     found: dict[str, list[Boxes]] = {picture.name: [] for picture, _ in jobs}
-    with ThreadPoolExecutor(1) as reader:
+    with Threads(1) as reader:
         ahead = deque(reader.submit(read, *job) for job in jobs[:1])
         for k, (picture, tile) in enumerate(jobs):
             image = ahead.popleft().result()

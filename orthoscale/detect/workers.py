@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache, partial
 from itertools import islice
@@ -15,6 +15,7 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..errors import InputError, OrthoscaleError, UsageError
 from ..system.budget import allow, memory
+from ..system.threads import Threads
 from .detector import Detector
 from .tiles import Detect, Looks, look_twice
 
@@ -50,8 +51,7 @@ def on_threads(jobs: Jobs, detect: Detect, count: int) -> Iterator[tuple[int, Lo
 def done_on_threads(work: Mapping[int, Callable[[], Done]], count: int) -> Iterator[tuple[int, Done]]:
     """What each piece of `work` gives, with its number, as soon as it is done by one of `count` threads."""
     waiting = iter(work.items())
-    pool = ThreadPoolExecutor(count)
-    try:
+    with Threads(count) as pool:
         running: dict[Future[Done], int] = {}
         while True:
             # Few are handed out at a time: an error or Ctrl-C has only those to wait for.
@@ -61,8 +61,6 @@ def done_on_threads(work: Mapping[int, Callable[[], Done]], count: int) -> Itera
                 return
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(done), done.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager

@@ -16,7 +16,6 @@ area, their scatter with its root; so the length whose votes are most significan
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +26,7 @@ from ..core.detections import Tile
 from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import UsageError
+from ..system.threads import Threads
 from .detector import Card
 from .filled import Filled, filled
 from .tiles import Detect, look, tiles
@@ -126,7 +126,7 @@ def search_zoom(
     order = np.random.default_rng(seed).permutation(len(pictures))
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _ZoomVotes:
-        with ThreadPoolExecutor(workers) as pool:
+        with Threads(workers) as pool:
             # All at once: coarse zooms have a window or two, for which most threads would wait.
             work = [(level, level.windows(pictures, order, budget)) for level in chosen]
             looks = [pool.map(lambda one: look(pictures[one[0]], one[1], detect), windows) for _, windows in work]

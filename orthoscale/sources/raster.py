@@ -363,8 +363,9 @@ class RasterSource:
         """Write a GeoTIFF with the same pixels and the measured scale.
 
         A TIFF of one image is copied and only its georeferencing is replaced; anything else is written losslessly
-        (deflate, tiles, BigTIFF by need), of several images the first. Bands, type, nodata, alpha, mask, palette, tags and overviews stay. Former
-        georeferencing, ground control points and rational polynomials do not; `notes` says so.
+        (deflate, tiles, BigTIFF by need), of several images the first. Bands, type, nodata, alpha, mask, palette, tags
+        and overviews stay. Former georeferencing, ground control points and rational polynomials do not; `notes` says
+        so.
         The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
 
         path : where to write; an existing file is replaced. Use `orthoscale.system.outputs` around it.

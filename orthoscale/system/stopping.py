@@ -38,7 +38,8 @@ def leave_at_once() -> None:
 
     def leave(number: int, frame: FrameType | None) -> None:
         with suppress(OSError):  # the terminal may be gone
-            os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
+            if not _state["received"]:  # else it is said already
+                os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
         os._exit(128 + number)
 
     _handle(leave)
@@ -59,6 +60,7 @@ def listening() -> Iterator[None]:
     try:
         yield
     finally:
+        _state["held"] += 1  # a second signal would leave some of them behind
         for number, handler in former.items():
             signal.signal(number, handler)
 
