@@ -910,6 +910,16 @@ def test_senseless_scales(tmp_path, scale):
     assert not (tmp_path / "b.tif").exists()
 
 
+def test_a_full_disk_is_told_without_names_of_temporary_files(tmp_path, monkeypatch):
+    def full(source, target):
+        raise OSError(errno.ENOSPC, "No space left on device", str(source), None, str(target))
+
+    monkeypatch.setattr("shutil.copyfile", full)
+    with RasterSource.open(make(tmp_path / "a.tif")) as source, pytest.raises(OutputError) as failed:
+        source.write(tmp_path / "b.tif", 0.1, cog=True)
+    assert failed.value.message == f"{tmp_path}/b.tif could not be written (No space left on device)"
+
+
 def test_senseless_targets(tmp_path):
     path = make(tmp_path / "a.tif")
     source = RasterSource.open(path)
@@ -1272,6 +1282,16 @@ def test_ground_control_that_is_no_number_is_not_believed(tmp_path):
     path = make(tmp_path / "a.tif", prepare=lambda dataset: setattr(dataset, "gcps", (points, CRS.from_epsg(32632))))
     with RasterSource.open(path) as source:
         assert not source.claimed.usable and "not all of them finite" in source.claimed.why
+
+
+@pytest.mark.parametrize("wrong, says", [(0, ""), (1, "fit misses by 0.498 px"), (50, "contradict")])
+def test_ground_control_of_which_a_point_is_wrong_is_said(tmp_path, wrong, says):
+    points = [GroundControlPoint(r, c, 500_000 + c, 5_400_000 - r) for r, c in ((0, 0), (0, W), (H, 0), (H, W))]
+    points[1].x += 2 * wrong
+    path = make(tmp_path / "a.tif", prepare=lambda dataset: setattr(dataset, "gcps", (points, CRS.from_epsg(32632))))
+    with RasterSource.open(path) as source:
+        assert source.claimed.usable == (wrong < 50) and says in source.claimed.why
+        assert ("misses" in source.claimed.why) == (wrong > 0)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")

@@ -139,6 +139,8 @@ def reading(path: Path, what: str, hint: str) -> Iterator[None]:
 def reason(error: BaseException) -> str:
     """What GDAL said, without its advice to programmers and the file's name, which the reader is told anyway; rasterio
     often keeps it in the cause and says only "see previous exception"."""
+    if isinstance(error, OSError) and error.strerror:  # Python's own, whose text has names of temporary files
+        return error.strerror
     text = str(error.__cause__ or error).strip().rstrip(".")
     text = re.sub(r"^'.*' (not recognized as being in a supported file format).*", r"\1", text, flags=re.DOTALL)
     return re.sub(r" \(this error can be turned as a warning.*?\)", "", text)

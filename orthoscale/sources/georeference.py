@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pyproj
+from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
@@ -18,6 +19,8 @@ from ..errors import InputError
 from .gdal import read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
+FARTHEST_OFF = 0.02
+"""Share of the image's diagonal that ground control may be off its affine fit: then the pixel size is off as much."""
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
@@ -118,7 +121,18 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
         t = Affine(0, 0, 0, 0, 0, 0)
     if not abs(t.determinant) > 0:
         return Claim(None, False, f"{len(points)} ground control points that span no area")
-    return _claim_on_earth(dataset, crs, t, f"on the ground, from {len(points)} ground control points")
+    off = _misfit(points, t)
+    why = f"{len(points)} ground control points"
+    if off > FARTHEST_OFF * math.hypot(dataset.width, dataset.height):
+        return Claim(None, False, f"{why} that contradict each other: an affine fit misses them by {off:.3g} px")
+    fits = f", which an affine fit misses by {off:.3g} px" if off >= 0.1 else ""
+    return _claim_on_earth(dataset, crs, t, f"on the ground, from {why}{fits}")
+
+
+def _misfit(points: list[GroundControlPoint], t: Affine) -> float:
+    """[px] how far `t` puts the points from their pixels, root mean square."""
+    away = transformed(np.array([(p.x, p.y) for p in points]), ~t) - [(p.col, p.row) for p in points]
+    return math.sqrt((away**2).sum(1).mean())
 
 
 def _on_a_line(points: list[tuple[float, float]]) -> bool:
