@@ -660,6 +660,26 @@ def test_control_points_give_a_scale(tmp_path):
     assert claim.gsd_m == pytest.approx(math.sqrt(0.0717 * 0.1112), rel=2e-3)  # a millionth of a degree at 50 N
 
 
+@pytest.mark.parametrize(
+    "name, content, says",
+    [
+        ("a.tfw", "0.1\n0\n0\n-0.1\n500000\n5400000\n", ""),
+        ("a.tfw", "0.5\n0\n0\n-0.5\n500000\n5400000\n", "as GDAL and QGIS do, but a.tfw says 0.5002 m/px"),
+        (
+            "a.tif.aux.xml",
+            "<PAMDataset><SRS>EPSG:32632</SRS><GeoTransform>5e5, .3, 0, 5.4e6, 0, -.3</GeoTransform></PAMDataset>",
+            "0.3001 m/px is taken for its claim, as GDAL and QGIS do, but a.tif itself says 0.1 m/px",
+        ),
+    ],
+)
+def test_what_lies_beside_a_picture_and_contradicts_it_is_said(tmp_path, name, content, says):
+    make(tmp_path / "a.tif", **UTM)
+    (tmp_path / name).write_text(content)
+    with RasterSource.open(tmp_path / "a.tif") as source:
+        told = " ".join(note.text for note in source.notes)
+    assert says in told and bool(told) == bool(says)
+
+
 # Writing
 
 

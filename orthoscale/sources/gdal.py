@@ -62,14 +62,14 @@ def _local_drivers() -> list[str]:
         return [name for name in env.drivers() if name not in _SERVED]
 
 
-def open_dataset(path: Path, *formats: str) -> DatasetReader:
+def open_dataset(path: Path, *formats: str, **options: Any) -> DatasetReader:
     """GDAL's view of a file on this machine; within `guarded`, as all that is done with it, so that it calls no server.
 
-    formats : GDAL's names of those that it may be, by default all whose files are local. Raises InputError for what
-    names a pipe or device; GDAL's errors for what it cannot open.
+    formats : GDAL's names of those that it may be, by default all whose files are local. options : of the format.
+    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
     """
     _require_files(path)
-    return DatasetReader(path, driver=list(formats) or _local_drivers(), sharing=False)
+    return DatasetReader(path, driver=list(formats) or _local_drivers(), sharing=False, **options)
 
 
 def _require_files(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +17,12 @@ from rasterio.transform import Affine, from_gcps
 
 from ..core.affine import transformed
 from ..errors import InputError
-from .gdal import read_projection
+from .gdal import open_dataset, read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
 FARTHEST_OFF = 0.02
 """Share of the image's diagonal that ground control may be off its affine fit: then the pixel size is off as much."""
+SAME_SIZE = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
@@ -105,6 +107,30 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
         # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
         return Claim(None, False, f"a placeholder: {system.name}{told_by} with its origin at exactly (0, 0)", crs, t)
     return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}{told_by}")
+
+
+def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
+    """What else is said of the pixel size where a TIFF or JPEG 2000 file and what lies beside it contradict each other,
+    for people; within `guarded`. GDAL takes ``.aux.xml`` first, then the file, then the world file."""
+    beside = {"PAM": (f"{path.name}.aux.xml",), "INTERNAL": (path.name,), "WORLDFILE": _world_files(path)}
+    there = {source: [n for n in names if path.with_name(n).is_file()] for source, names in beside.items()}
+    if dataset.driver not in ("GTiff", "JP2OpenJPEG") or not claim.usable or not (there["PAM"] or there["WORLDFILE"]):
+        return []
+    said = []
+    for source, (name, *_) in ((source, names) for source, names in there.items() if names):
+        with open_dataset(path, dataset.driver, GEOREF_SOURCES=source) as file:
+            if (t := file.transform) != Affine.identity():
+                with suppress(pyproj.exceptions.CRSError):
+                    other = _claim_on_earth(file, file.crs or claim.crs, t, "").gsd_m
+                    if other is not None and claim.gsd_m is not None and abs(other / claim.gsd_m - 1) > SAME_SIZE:
+                        said.append(f"{name}{' itself' if source == 'INTERNAL' else ''} says {other:.4g} m/px")
+    return said
+
+
+def _world_files(path: Path) -> tuple[str, ...]:
+    ending = path.suffix[1:]
+    world = f"{ending[:1]}{ending[-1:]}w", f"{ending}w", "wld"
+    return tuple(f"{path.stem}.{end}" for each in world for end in (each.lower(), each.upper()))
 
 
 def _claim_of_gcps(dataset: DatasetReader) -> Claim:

@@ -27,7 +27,7 @@ from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import Stamp, another, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, open_dataset, projection_file, reading, settings
-from .georeference import CopyGeoreference, claim_of, kept_place, local_place
+from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
 from .raster_copy import Original
 from .raster_display import Display
@@ -88,6 +88,9 @@ class RasterSource:
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset, projection)
+        if said := other_claims(path, dataset, self.claimed):
+            counts = f"{self.claimed.gsd_m:.4g} m/px is taken for its claim, as GDAL and QGIS do, but {', '.join(said)}"
+            self.notes.append(Remark(CAUTION, counts))
         if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
             text = (
                 f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "
