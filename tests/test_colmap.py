@@ -283,8 +283,11 @@ def test_frames_are_found(plain, tmp_path, place):
 def test_missing_frames(plain, model_bin, tmp_path):
     with pytest.raises(InputError, match=r"first is 00.png; looked in .*images"):
         ColmapSource.open(model_bin)
-    with pytest.raises(InputError, match=r"first is 00.png; looked in .*elsewhere"):
+    with pytest.raises(InputError, match=r"--images .*elsewhere does not exist"):
         ColmapSource.open(model_bin, images=tmp_path / "elsewhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"first is 00.png; looked in .*empty"):
+        ColmapSource.open(model_bin, images=tmp_path / "empty")
     bare = ColmapSource.open(model_bin, need_images=False)
     assert bare.pictures == [] and len(bare.picture_names) == 12 and "no frame" in bare.notes[0].text
     put_frames(plain, tmp_path / "frames")
@@ -328,7 +331,7 @@ def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
     (tmp_path / "images/00.json").write_text("{}")
     with pytest.raises(InputError, match=r"images/00.png is of another name"):
         ColmapSource.open(folder)
-    with pytest.raises(InputError, match=r"looked in .*cameras.bin"):
+    with pytest.raises(InputError, match=r"cameras.bin is not a folder"):
         ColmapSource.open(folder, folder / "cameras.bin")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import unicodedata
 from collections.abc import Sequence
 from contextlib import suppress
@@ -51,6 +52,9 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     given : where to look instead of beside and above the model. Raises InputError where it holds none of them.
     """
     if given is not None:
+        if not os.path.isdir(given):  # noqa: PTH112  pathlib's raises for names that are too long
+            what = "is not a folder" if os.path.lexists(given) else "does not exist"
+            raise InputError(f"--images {given} {what}", "Give the folder that the image names start from.")
         places = [given]
     else:
         bases = [folder, *(above for home in homes(folder) for above in home.parents[:IMAGES_ABOVE])]
