@@ -20,9 +20,9 @@ from ..errors import InputError
 from .gdal import open_dataset, read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
-FARTHEST_OFF = 0.02
+MOST_MISFIT = 0.02
 """Share of the image's diagonal that ground control may be off its affine fit: then the pixel size is off as much."""
-SAME_SIZE = 0.01  # relative difference of pixel sizes up to which two files say the same
+SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
@@ -122,7 +122,7 @@ def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
             if (t := file.transform) != Affine.identity():
                 with suppress(pyproj.exceptions.CRSError):
                     other = _claim_on_earth(file, file.crs or claim.crs, t, "").gsd_m
-                    if other is not None and claim.gsd_m is not None and abs(other / claim.gsd_m - 1) > SAME_SIZE:
+                    if other is not None and claim.gsd_m is not None and abs(other / claim.gsd_m - 1) > SAME_PIXEL:
                         said.append(f"{name}{' itself' if source == 'INTERNAL' else ''} says {other:.4g} m/px")
     return said
 
@@ -149,7 +149,7 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
         return Claim(None, False, f"{len(points)} ground control points that span no area")
     off = _misfit(points, t)
     why = f"{len(points)} ground control points"
-    if off > FARTHEST_OFF * math.hypot(dataset.width, dataset.height):
+    if off > MOST_MISFIT * math.hypot(dataset.width, dataset.height):
         return Claim(None, False, f"{why} that contradict each other: an affine fit misses them by {off:.3g} px")
     fits = f", which an affine fit misses by {off:.3g} px" if off >= 0.1 else ""
     return _claim_on_earth(dataset, crs, t, f"on the ground, from {why}{fits}")
