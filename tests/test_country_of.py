@@ -25,7 +25,8 @@ def orthophoto(path, crs, west, north, pixel):
 @pytest.mark.parametrize(
     ("crs", "west", "north", "pixel", "country"),
     [("EPSG:32651", 283_000, 1_615_000, 0.1, "PH"), ("EPSG:2180", 360_000, 500_000, 0.1, "PL"),
-     ("EPSG:4326", -97.74, 30.27, 1e-6, "US"), ("EPSG:3857", 950_700, 6_004_600, 0.15, "CH")],
+     ("EPSG:4326", -97.74, 30.27, 1e-6, "US"), ("EPSG:3857", 950_700, 6_004_600, 0.15, "CH"),
+     ("EPSG:4326", 182.0, 67.0, 1e-6, "RU")],
 )  # fmt: skip
 def test_georeferencing_names_the_country(tmp_path, crs, west, north, pixel, country):
     fleet, notes = fleet_at(location_of(orthophoto(tmp_path / "a.tif", crs, west, north, pixel)))

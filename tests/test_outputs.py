@@ -394,6 +394,13 @@ def test_geojson_lies_on_the_copy_or_is_refused(tmp_path, boxes):
     assert ((np.array(ring) > [left, bottom]) & (np.array(ring) < [right, top])).all()
 
 
+def test_geojson_has_no_longitudes_beyond_180_degrees(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 181, 0, -7e-7, 50))
+    fixed(path, tmp_path / "out.tif", boxes, also=["geojson"], keep_origin=True)
+    ring = json.loads((tmp_path / "out.tif.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
+    assert np.allclose(np.array(ring)[:, 0], -179, atol=0.01)
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("name", ["nothing", "UTM", "rotated", "south-up", "mirrored", "degrees"])
 def test_headings_are_those_of_the_outlines(tmp_path, boxes, name):

@@ -130,6 +130,8 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
     columns = {name: values.tolist() for name, values in table(result, place).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):
+        if place.crs.is_geographic:  # rasters go on beyond 180 degrees, GeoJSON does not
+            ring[:, 0] -= 360 * np.round(ring[:, 0].mean() / 360)
         geometry = transform_geom(place.crs, "EPSG:4326", {"type": "Polygon", "coordinates": [ring.tolist()]})
         properties = {name: values[k] for name, values in columns.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})

@@ -62,7 +62,7 @@ def _of_claim(claimed: Claim, width: int, height: int) -> Location | None:
     longitude, latitude = to_degrees.transform(*middle)
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         return None
-    return Location(longitude, latitude, "its georeferencing")
+    return Location((longitude + 180) % 360 - 180, latitude, "its georeferencing")  # rasters may go on beyond 180
 
 
 def _of_reference(path: Path) -> Location | None:
