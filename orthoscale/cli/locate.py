@@ -29,7 +29,8 @@ from .photo_options import lens_options
     "  orthoscale locate a.jpg --satellite city.tif --fleet DE --out found/\n"
     "  orthoscale locate flight/ --satellite city.tif --gsd 0.08 --out found/ \\\n"
     "      --prior 8.54,47.38,1500\n"
-    "  orthoscale locate a.jpg --satellite city.tif --heading search --out found/\n\n" + EXIT_CODES
+    "  orthoscale locate a.jpg --satellite city.tif --heading search --out found/\n\n"
+    + EXIT_CODES.replace("(nothing written)", "(only candidates written)")
 )
 @click.argument("paths", metavar="PHOTO...", nargs=-1, required=True, type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced map: satellite or orthophoto.")
