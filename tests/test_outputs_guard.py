@@ -593,6 +593,21 @@ def test_a_signal_while_a_class_is_made_does_not_change_the_exit_code():
     assert subprocess.run([sys.executable, "-c", program]).returncode == 143
 
 
+def test_what_becomes_of_a_signal_while_a_class_is_made_is_no_bug():
+    """Python 3.11 makes a RuntimeError of what is raised in `__set_name__`."""
+
+    class Stopping:
+        def __set_name__(self, owner, name):
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(100):
+                pass
+
+    with pytest.raises(stopping.Stopped), stopping.listening():
+        type("Any", (), {"value": Stopping()})
+    with pytest.raises(ValueError, match="no signal"), stopping.listening():
+        raise ValueError("no signal")
+
+
 def test_a_second_signal_waits_for_threads_too(ctrl_c_is_heard):
     """A network that a thread was still in aborted the process while Python ended."""
     done = []

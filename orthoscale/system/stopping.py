@@ -59,6 +59,10 @@ def listening() -> Iterator[None]:
     former = _handle(heard)
     try:
         yield
+    except Exception as error:
+        if _state["received"]:  # it is what something made of Stopped, as Python 3.11 of one while a class is made
+            raise Stopped from error
+        raise
     finally:
         _state["held"] += 1  # a second signal would leave some of them behind
         for number, handler in former.items():
