@@ -7,7 +7,8 @@ import io
 import logging
 import sys
 import traceback
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
+from functools import partial
 from importlib import import_module
 
 import click
@@ -85,8 +86,7 @@ def main() -> None:
         say(text.getvalue().rstrip("\n"), err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        with suppress(OSError):  # the terminal may be gone
-            click.echo(stopping.sentence(), err=True)
+        stopping.say(partial(click.echo, err=True))
         sys.exit(stopping.exit_code())
     except BrokenPipeError:
         sys.exit(141)

@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))  # not in Windows
 written: list[str] = []  # outputs that are in their places already
-_state = {"received": 0, "held": 0}
+_state = {"received": 0, "held": 0, "said": 0}
 
 
 class Stopped(KeyboardInterrupt):
@@ -28,6 +28,14 @@ def sentence() -> str:
     return "stopped; " + (f"already written: {', '.join(written)}" if written else "nothing was written")
 
 
+def say(write: Callable[[str], object]) -> None:
+    """`write` the sentence, unless it is said already."""
+    if not _state["said"]:
+        with suppress(OSError):  # the terminal may be gone
+            write(sentence())
+        _state["said"] = 1  # not before: another signal may end the process here
+
+
 def exit_code() -> int:
     """As shells count: 128 and the signal's number."""
     return 128 + (_state["received"] or signal.SIGINT)
@@ -37,9 +45,7 @@ def leave_at_once() -> None:
     """Until `listening`, and after it, no output is being made: a signal ends the process with the sentence."""
 
     def leave(number: int, frame: FrameType | None) -> None:
-        with suppress(OSError):  # the terminal may be gone
-            if not _state["received"]:  # else it is said already
-                os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
+        say(lambda text: os.write(2, (text + "\n").encode("ascii", "backslashreplace")))
         os._exit(128 + number)
 
     _handle(leave)
@@ -55,7 +61,7 @@ def listening() -> Iterator[None]:
             raise Stopped
 
     written.clear()
-    _state.update(received=0, held=0)
+    _state.update(received=0, held=0, said=0)
     former = _handle(heard)
     try:
         yield
