@@ -297,6 +297,14 @@ def test_missing_frames(plain, model_bin, tmp_path):
     assert "1 of 12 frames" in source.notes[0].text and "03.png" in source.notes[0].text
 
 
+def test_the_folder_that_names_start_from_is_told(plain, tmp_path):
+    folder = renamed(plain, tmp_path / "m", "bin", lambda name: f"a/b/{name}")
+    put_frames(plain, tmp_path / "images/a/b")
+    for given in ("images/a", "images/a/b"):
+        with pytest.raises(InputError, match=rf"(?s)a/b/00.png, .*begins above .*{given}.*--images .*/images: the"):
+            ColmapSource.open(folder, images=tmp_path / given)
+
+
 def test_frames_and_database_beside_a_link(plain, tmp_path):
     folder = save(plain, tmp_path / "disk/of/many/projects/sparse/0", "bin")
     put_frames(plain, tmp_path / "work/images")

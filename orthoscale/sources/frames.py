@@ -70,6 +70,11 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     if len(missing) == len(names):
         above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
         what = f"no frame of the model {folder} was found; the first is {missing[0]}"
+        higher = [] if given is None else given.absolute().parents[:IMAGES_ABOVE]
+        if (start := next((place for place in higher if file_in(place, missing[0]) is not None), None)) is not None:
+            raise InputError(
+                f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
+            )
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
             raise InputError(
                 f"{what}, and {near} is of another name",
