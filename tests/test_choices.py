@@ -94,6 +94,16 @@ def test_what_two_measurements_of_the_same_vehicles_may_differ_by():
     assert off.contradicts and off.mixes_sd == 0, "where they do not, a mix is no excuse"
 
 
+def test_boxes_of_two_networks_differ_by_the_margins_of_both():
+    """One network's margin is in both scales; a scale that hardly rests on its own is as far off at least."""
+    first, second = with_parts(0.1, margin=0.03), with_parts(0.1, margin=0.001)
+    one, two = (compare({"oblique": first, "planar": second}, one_network=same) for same in (True, False))
+    assert one.sd == pytest.approx(np.sqrt(2 * 0.015**2 + 0.029**2))
+    assert two.sd == pytest.approx(np.sqrt(0.03**2 + 0.015**2))
+    both = compare({"oblique": first, "planar": first}, np.zeros((9, 2)), one_network=False)
+    assert both.sd == pytest.approx(0.03 * np.sqrt(2))
+
+
 def test_a_scale_by_a_distance_may_differ_by_all_that_is_not_known_of_the_fleet():
     by_distance, by_vehicles = with_parts(0.1, **{"known distance": 0.01}), with_parts(0.1, fleet=0.04)
     found = compare({"oblique": by_distance, "planar": by_vehicles})

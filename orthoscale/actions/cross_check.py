@@ -89,7 +89,8 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     units_per_pixel = factor * ortho.scale.value / model.scale.value
     by_model = model.scale.value * units_per_pixel
     agreement = compare(
-        {"orthophoto": ortho.scale, "model": replace(model.scale, value=by_model, unit=ortho.scale.unit)}
+        {"orthophoto": ortho.scale, "model": replace(model.scale, value=by_model, unit=ortho.scale.unit)},
+        one_network=ortho.detections.detector_sha256 == model.detections.detector_sha256,
     )
     low, high = (end * units_per_pixel for end in model.scale.interval90)
     return CrossCheck(units_per_pixel, common, ortho.scale.value, by_model, (low, high), agreement)

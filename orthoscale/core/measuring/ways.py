@@ -104,7 +104,8 @@ def _answer(
         return first
     ratio, place = _common(*modes.values())
     scales = {name: m.scale for name, m in modes.items()}
-    agreement = compare(scales, ratio)
+    one_network = found.planar is not None and found.planar.detector_sha256 == found.detector_sha256
+    agreement = compare(scales, ratio, one_network)
     if agreement.contradicts:
         why, said = cause(
             agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].found.calibration
@@ -147,8 +148,8 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     covariance.
 
     A vehicle measured in both is weighted by the errors that the modes do not share (`_shares`). The ruler's
-    uncertainty is the weighted mean of both, since it is largely common to them; that of the geometry is common in
-    part.
+    uncertainty is the weighted mean of both, as if it were common to them, which of two networks' it is only in part;
+    that of the geometry is common in part.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"

@@ -14,8 +14,9 @@ from .posterior import OF_MEDIAN, ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over one place may differ
-# What one detection pass differs by from another over the same vehicles (relative, one sigma). An assumption: on
-# the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most.
+# What one network's boxes of vehicles differ by from its own in other pictures of them (relative, one sigma), at least.
+# An assumption: on the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most. The margins of
+# two networks are each one's own.
 OWN_MARGIN = 0.015
 MIN_COMMON = 5  # vehicles measured in both ways from which these alone are compared
 
@@ -82,21 +83,24 @@ class Agreement:
         return f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {parts}, {self.tension:.1f} sigma{so}"
 
 
-def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreement:
+def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_network: bool = True) -> Agreement:
     """The agreement of two scales of one source by the same vehicles.
 
     ratio : (K, 2) log ratio of the size by the first to that by the second, for lengths and widths of the vehicles that
     both measured. With enough of them the vehicles' true sizes cancel, and so does the fleet. If these agree, the two
     modes measure alike, and a remaining difference of the scales comes from the other vehicles, whose mix each mode
     estimates by itself (`mixes_sd`, the fleet's part of both). Without vehicles in common, sampling is taken as
-    independent, which tolerates a larger difference than the same vehicles should have. Most of the detector's error is
-    common to both; geometry is taken as independent. Fleet, margin and other evidence cancel as far as both scales rest
-    on them: a scale that rests on a known distance as well differs from one by vehicles alone by the fleet's error.
+    independent, which tolerates a larger difference than the same vehicles should have. one_network : both rest on
+    boxes of one, and most of its error is common to both; the errors of two are independent, as geometry is. Fleet,
+    margin and other evidence cancel as far as both scales rest on them: a scale that rests on a known distance as well
+    differs from one by vehicles alone by the fleet's error.
     """
     a, b = scales.values()
-    own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b)) + 2 * OWN_MARGIN**2
+    margins = [0.0 if one_network else scale.parts.get("margin", 0.0) for scale in (a, b)]
+    own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b))
+    own += sum(max(margin, OWN_MARGIN) ** 2 for margin in margins)
     sampling = sum(scale.parts.get("sampling", 0.0) ** 2 for scale in (a, b))
-    shared = (a.parts.keys() | b.parts.keys()) - {"geometry", "sampling"}
+    shared = (a.parts.keys() | b.parts.keys()) - {"geometry", "sampling", *(() if one_network else ("margin",))}
     left = sum((a.parts.get(name, 0.0) - b.parts.get(name, 0.0)) ** 2 for name in shared)
     apart = float(np.log(b.value / a.value)), float(np.sqrt(own + sampling + left))
     if ratio is None or len(ratio) < MIN_COMMON:
