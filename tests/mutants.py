@@ -60,6 +60,12 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/agreement.py",
+        "0.0 if one_network else",
+        "0.0 if True else",
+        f"{CHOICES}test_boxes_of_two_networks_differ_by_the_margins_of_both",
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
         "weight = (1 / own) / (1 / own).sum()",
         "weight = own / own.sum()",
         f"{CHOICES}test_of_two_measurements_the_more_certain_one_counts_more",
@@ -209,8 +215,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/agreement.py",
-        '- {"geometry", "sampling"}',
-        '- {"geometry"}',
+        '- {"geometry", "sampling", ',
+        '- {"geometry", ',
         f"{CHOICES}test_the_same_vehicles_are_no_more_alike_for_being_as_many",
     ),
     Mutant(
