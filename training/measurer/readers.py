@@ -5,14 +5,15 @@ r"""How far the measurer strays from place to place, told apart from how far its
 Against one reader's edges a place strays by what the measurer has wrong there and by what the reader has. Another
 reader, who saw neither the other's answers nor any box, errs for himself. So each reader's habit is taken off, a factor
 and a margin in pixels of his own, and what is left is compared between readers: what two of them find alike is the
-measurer's (or of what both take for the edge). By default the readings are those of labels/.
+measurer's (or of what both take for the edge). Of each place the mean of what is left is printed, too. By default the
+readings are those of labels/.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -44,28 +45,31 @@ class Reading:
     size: np.ndarray
 
 
-def stray(readings: Sequence[Reading]) -> np.ndarray:
-    """(2,) variance of what readers agree the measurer has wrong at a place, in length and width; it may come out
-    negative.
+def without_habits(readings: Sequence[Reading], axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) what is left of readings of length (axis 0) or width (1), and (N,) how they are weighed [1 / one sigma].
 
-    Readings are `habit of the reader + margin of the reader / size + error at the place`, by weighted least squares;
-    the variance is the mean product of what two readers find at one place, Cov(a, b) of errors that are common.
+    Readings are `habit of the reader + margin of the reader / size + error at the place`, by weighted least squares.
     """
     readers = sorted({r.reader for r in readings})
-    places = sorted({r.place for r in readings})
+    y = np.array([r.log_ratio[axis] for r in readings])
+    habit = np.zeros((len(readings), 2 * len(readers)))
+    for row, r in zip(habit, readings, strict=True):
+        k = 2 * readers.index(r.reader)
+        row[k : k + 2] = 1, 1 / r.size[axis]
+    weight = 1 / np.sqrt([r.variance[axis] + STRAY[axis] ** 2 for r in readings])
+    left = y - habit @ np.linalg.lstsq(habit * weight[:, None], y * weight, rcond=None)[0]
+    return left, weight
+
+
+def stray(readings: Sequence[Reading]) -> np.ndarray:
+    """(2,) variance of what readers agree the measurer has wrong at a place, in length and width; it may come out
+    negative: the mean product of what two readers find at one place, Cov(a, b) of errors that are common."""
     shared = np.zeros(2)
     for axis in (0, 1):
-        y = np.array([r.log_ratio[axis] for r in readings])
-        habit = np.zeros((len(readings), 2 * len(readers)))
-        for row, r in zip(habit, readings, strict=True):
-            k = 2 * readers.index(r.reader)
-            row[k : k + 2] = 1, 1 / r.size[axis]
-        weight = 1 / np.sqrt([r.variance[axis] + STRAY[axis] ** 2 for r in readings])
-        left = y - habit @ np.linalg.lstsq(habit * weight[:, None], y * weight, rcond=None)[0]
+        left, weight = without_habits(readings, axis)
         pairs = [
             (left[i] * left[j], weight[i] * weight[j] / (len(there) - 1))
-            for place in places
-            for there in [[k for k, r in enumerate(readings) if r.place == place]]
+            for there in by_place(readings).values()
             for i, j in combinations(there, 2)
         ]
         product, weights = np.array(pairs).T
@@ -73,16 +77,21 @@ def stray(readings: Sequence[Reading]) -> np.ndarray:
     return shared
 
 
+def by_place(readings: Sequence[Reading]) -> dict[str, list[int]]:
+    """Numbers of the readings of each place."""
+    return {
+        place: [k for k, r in enumerate(readings) if r.place == place] for place in sorted({r.place for r in readings})
+    }
+
+
 def drawn(readings: Sequence[Reading], seed: int = 0) -> np.ndarray:
     """(DRAWS, 2) `stray` of places drawn anew, each with all its readings."""
     rng = np.random.default_rng(seed)
-    places = sorted({r.place for r in readings})
-    at = {place: [r for r in readings if r.place == place] for place in places}
+    at = by_place(readings)
     found = []
     while len(found) < DRAWS:
-        names = rng.choice(places, len(places))
-        some = [Reading(r.reader, f"{k} {r.place}", r.log_ratio, r.variance, r.size)
-                for k, name in enumerate(names) for r in at[name]]  # fmt: skip
+        names = rng.choice(list(at), len(at))
+        some = [replace(readings[n], place=f"{k} {name}") for k, name in enumerate(names) for n in at[name]]
         if len({r.reader for r in some}) > 1:
             found.append(stray(some))
     return np.array(found)
@@ -125,6 +134,14 @@ def main() -> None:
     ]
     shared, trials = stray(readings), drawn(readings)
     print(f"{len(options.read)} readers, {len({r.place for r in readings})} places, {len(readings)} readings of them")
+    left = [without_habits(readings, axis) for axis in (0, 1)]
+    for place, there in by_place(readings).items():
+        means = [
+            f"{100 * np.average(rest[there], weights=weight[there] ** 2):+5.1f} +- "
+            f"{100 / np.sqrt((weight[there] ** 2).sum()):.1f} %"
+            for rest, weight in left
+        ]
+        print(f"{place:20s} {len(there)} readers: length {means[0]}, width {means[1]}")
     for axis, name in enumerate(("length", "width")):
         low, high = np.quantile(trials[:, axis], (0.16, 0.84))
         print(
