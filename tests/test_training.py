@@ -1019,7 +1019,13 @@ def test_a_measurers_stray_is_told_apart_from_its_readers():
     size = np.exp(rng.uniform(np.log(8), np.log(60), (60, 1))) * [2.4, 1.0]
     sigma = np.full(2, 0.01)
     readings = [
-        Reading(k, f"{place}", own[place] + habits[k] + margins[k] / size[place] + error, sigma**2, size[place])
+        Reading(
+            own[place] + habits[k] + margins[k] / size[place] + error,
+            sigma**2,
+            size[place],
+            reader=k,
+            place=f"{place}",
+        )
         for k in range(4)
         for place, error in enumerate(rng.normal(0, 0.02, (60, 2)))
         if rng.random() < 0.8

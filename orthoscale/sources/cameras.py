@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, UsageError
 from ..formats.geometry.poses import camera_centres, read_poses
-from ..formats.geometry.text_models import SUFFIXES, listed_names, read_text_model
+from ..formats.geometry.text_models import SUFFIXES, image_names, read_text_model
 from .colmap_check import open_model
 from .colmap_write import read_model
 from .exchange_files import find_exchange
@@ -37,7 +37,7 @@ def cameras_in(path: Path) -> dict[str, np.ndarray]:
         return {}
     text = read_text_model(path)
     try:
-        names = text.names or listed_names(path, len(text.focal))[0]
+        names, _ = image_names(path, text)
     except InputError:  # it can be scaled without
         return {}
     centres = -np.einsum("nji,nj->ni", text.rotation, text.translation)

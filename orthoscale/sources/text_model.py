@@ -15,7 +15,7 @@ import numpy as np
 from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
-from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, listed_names, read_text_model
+from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, image_names, read_text_model
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .fingerprint import Stamp
 from .frames import find_frames, image_folder
@@ -37,7 +37,7 @@ class TextSource(OneFileSource):
         path = Path(path)
         stamp = Stamp.of(path)
         text = read_text_model(path)
-        names, lists = (text.names, []) if text.names is not None else listed_names(path, len(text.focal))
+        names, lists = image_names(path, text)
         wanted = sorted({_clean(name) for name, focal in zip(names, text.focal, strict=True) if focal > 0})
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
@@ -60,8 +60,9 @@ class TextSource(OneFileSource):
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
-        names = text.names if text.names is not None else listed_names(out, len(text.focal))[0]
-        return _built(out, text, names, {name: self.image_size(name) for name in self.picture_names})
+        return _built(
+            out, text, image_names(out, text)[0], {name: self.image_size(name) for name in self.picture_names}
+        )
 
 
 def _clean(name: str) -> str:

@@ -331,6 +331,12 @@ class Place:
     size: np.ndarray
 
 
+def variance_of(spread: np.ndarray, count: int) -> np.ndarray:
+    """(2,) of a place's medians, by the `spread` (2,) of `count` vehicles."""
+    # Of a median: pi / 2 times a mean's; a few that agree by chance are not believed.
+    return np.asarray(np.pi / 2 * np.maximum(spread, LEAST_SCATTER) ** 2 / count)
+
+
 def margin(places: list[Place]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(2,) the margin [px] that places ask for in length and width; (2,) what else they stray by (log, one sigma),
     found by leaving each of them out; (2, 2) lowest and highest margin of these fits."""
@@ -379,9 +385,7 @@ def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
         m, s = middle(t[ok, :2])
         if scene.name not in (*LEARNT, *SLANTED) and ok.sum() >= FEWEST:
             size = np.median([b for p in scene.pictures for b in p.vehicles], axis=0)[2:4]
-            # Of a median: pi / 2 times a mean's; a few that agree by chance are not believed.
-            variance = np.pi / 2 * (np.maximum(s, LEAST_SCATTER) ** 2) / ok.sum()
-            places.append(Place(m, variance, size * [1, WIDTH_HABIT]))
+            places.append(Place(m, variance_of(s, ok.sum()), size * [1, WIDTH_HABIT]))
         dm, ds = middle(t[found, 2:4])
         lines.append(
             f"{scene.name:12s} {len(t):3d} {found.sum():4d} {ok.sum():5d}   | {100 * m[0]:+8.2f} {100 * s[0]:6.2f}    "

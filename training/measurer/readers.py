@@ -24,7 +24,7 @@ from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import Measurer
 from training.evaluate import BY_HAND, measured_scenes, middle
 
-from .evaluate import FEWEST, LEAST_SCATTER, SHIPPED, against_readings
+from .evaluate import FEWEST, SHIPPED, Place, against_readings, variance_of
 from .real import READ as LEARNT
 from .real import SLANTED
 
@@ -33,16 +33,12 @@ STRAY = (0.01, 0.015)  # one sigma of length and width by which readings of plac
 DRAWS = 1000  # of places, for the uncertainty (bootstrap; Efron 1979)
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What a reader's vehicles of one place say of the measurer: medians of the log ratios (2,) of length and width to
-    what he read, their variances (2,), and the vehicles' median size (2,) [px]."""
+@dataclass(frozen=True, kw_only=True)
+class Reading(Place):
+    """What one reader's vehicles of the place of that name say of the measurer."""
 
     reader: int
     place: str
-    log_ratio: np.ndarray
-    variance: np.ndarray
-    size: np.ndarray
 
 
 def without_habits(readings: Sequence[Reading], axis: int) -> tuple[np.ndarray, np.ndarray]:
@@ -109,9 +105,8 @@ def read_by(measurer: Measurer, detector: Detector, data: Path, file: Path, read
             continue
         size = np.concatenate([p.vehicles for p in scene.pictures])[sure, 2:4]
         median, spread = middle(rows[sure, :2])
-        # Of a median: pi / 2 times a mean's; a few that agree by chance are not believed.
-        variance = np.pi / 2 * np.maximum(spread, LEAST_SCATTER) ** 2 / sure.sum()
-        found.append(Reading(reader, scene.name, median, variance, np.median(size, axis=0)))
+        variance = variance_of(spread, sure.sum())
+        found.append(Reading(median, variance, np.median(size, axis=0), reader=reader, place=scene.name))
     return found
 
 

@@ -79,17 +79,21 @@ def read_text_model(path: Path) -> TextModel:
         raise _damaged(path, str(error)) from error
 
 
-def listed_names(path: Path, count: int) -> tuple[list[str], list[Path]]:
-    """The names of Bundler's images, in the order of its cameras, and the list that holds them. Raises InputError."""
+def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
+    """The names of the images of the model `text` at `path`, in the order of its cameras, and the list beside it that
+    holds them, if it does not itself: Bundler's. Raises InputError."""
+    if text.names is not None:
+        return text.names, []
+    count = len(text.focal)
     places = [path.with_name("list.txt"), path.parent.parent / "list.txt"]
     if path.name.endswith("bundle.out") and path.name != "bundle.out":  # COLMAP writes x.bundle.out, x.list.txt
         places.insert(0, path.with_name(path.name.removesuffix("bundle.out") + "list.txt"))
     found = next((place for place in places if place.is_file()), None)
     if found is None:
         raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
-    text = read_text(found, "It is Bundler's list of images.")
+    lines = read_text(found, "It is Bundler's list of images.").splitlines()
     # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
-    names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in text.splitlines() if line.strip()]
+    names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in lines if line.strip()]
     if len(names) != count:
         raise InputError(
             f"{found} names {len(names)} images, {path} has {count} cameras", "Give the list it came from."
