@@ -14,7 +14,7 @@ from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
-from orthoscale.core.measuring.systematic import Systematic
+from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -193,6 +193,19 @@ def test_what_a_picture_of_the_ground_enlarges_does_not_count():
         found = SweepGeometry.of(_With(block.source, others), block.found.planar)
         assert found.lost[TOO_COARSE] == pytest.approx(lost, abs=1)
         assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
+
+
+def test_how_far_up_boxes_of_ground_pictures_reach_is_known_to_half_a_metre():
+    """By what half a metre more changes the sizes; boxes near the nadir, which it changes less than its share, apart."""
+    block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=40), unsure=False)
+    above = block.found.planar
+    plain = SweepGeometry.of(block.source, above)
+    far = np.linalg.norm(plain.offset, axis=1) > np.median(np.linalg.norm(plain.offset, axis=1))
+    plain = replace(plain, **{k: getattr(plain, k)[far] for k in ("boxes", "flat", "offset", "camera")})
+    raised = replace(plain, found=replace(above, effective_height=tuple(h + 0.5 for h in above.effective_height)))
+    seen, less = (g.observe(block.metres_per_unit) for g in (plain, raised))
+    told = np.sqrt(np.diag(Systematic(np.zeros(2), {k: seen.systematic.shared[k] for k in (ENDS, SIDES)}).covariance))
+    assert told == pytest.approx(-np.log(less.size / seen.size).mean(0), rel=0.35)
 
 
 class _With:

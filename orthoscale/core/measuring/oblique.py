@@ -211,7 +211,7 @@ class OtherGeometry(FramesGeometry):
         """Boxes as they are, with their margin."""
         size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
         ok = np.isfinite(size).all(1)
-        by_height = of_height(height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit))
+        by_height = of_height(height_share(size[ok], lean(self.boxes, self.views)[ok], HEIGHT_SD / metres_per_unit))
         return Observation(size, self.found.ruler, by_height.and_shared(self.stands.alike), self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
@@ -231,9 +231,11 @@ def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np
     return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
 
-def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:
-    """(2,) relative one-sigmas of lengths and widths from the uncertainty of the effective height. size, leaning : (N,
-    2) as measured [units], and by `height.lean`."""
+def height_share(size: np.ndarray, leaning: np.ndarray, height_sd: float) -> np.ndarray:
+    """(2,) relative one-sigmas of lengths and widths from that of the effective height, `height_sd` [units].
+
+    size, leaning : (N, 2) as measured [units], and by `height.lean`.
+    """
     if not len(size):
         return np.zeros(2)
-    return np.median(leaning * np.full(2, HEIGHT_SD / metres_per_unit) / size, axis=0)
+    return np.median(leaning * height_sd / size, axis=0)
