@@ -394,6 +394,12 @@ class EstimateRequest(VehicleRequest):
         return None if self.measurer == NOTHING else str(self.measurer)
 
     @property
+    def wanted_mode(self) -> str | None:
+        """The mode in which a model is measured, None for all that there is evidence for: a projection is one of
+        frames, so these alone are measured by it unless `mode` says more."""
+        return "oblique" if self.mode is None and self.projection is not None else self.mode
+
+    @property
     def counts_gps(self) -> bool:
         """Whether GPS positions of frames enter the scale."""
         return self.gps and not self.vehicles_only
@@ -437,6 +443,8 @@ class EstimateRequest(VehicleRequest):
     def _for_posed(self, path: Path) -> None:
         self._refuse(("target",), f"frames are looked at until they repeat the ground, and {path} is a model")
         self._refuse(("fast",), f"it is for orthophotos, and {path} is a model")
+        if self.wanted_mode == "oblique":
+            self._refuse(("measurer",), f"by --projection the frames of {path} are measured, and nothing from above")
 
 
 OF_LOOKING = ("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")

@@ -19,7 +19,7 @@ from orthoscale.actions.fix import REPORT_FILES
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.cli.photo_options import LENS_FLAGS
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
-from orthoscale.errors import UsageError
+from orthoscale.errors import TooLittleEvidence, UsageError
 from orthoscale.report.extras import WRITERS
 from orthoscale.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
 
@@ -113,6 +113,28 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
                 judge("a.tif")
         else:
             judge("a.tif")
+
+
+def test_with_a_projection_of_frames_nothing_is_looked_at_from_above(flight, monkeypatch):
+    """Half of the time went into ground pictures that were then not measured."""
+    modes = []
+
+    def looked(source, mode, search):
+        modes.append(mode)
+        raise TooLittleEvidence("nobody looks")
+
+    monkeypatch.setattr("orthoscale.actions.estimate.find_in", looked)
+    for options in ({}, {"projection": "naive"}, {"projection": "naive", "mode": "both"}):
+        with pytest.raises(TooLittleEvidence):
+            orthoscale.estimate(flight[0], fleet="US", anchors=["none"], **options)
+    assert modes == [None, "oblique", "both"]
+
+
+def test_with_a_projection_of_frames_a_measurer_is_refused():
+    with pytest.raises(UsageError, match="--measurer does nothing here: by --projection the frames of"):
+        EstimateRequest(projection="naive", measurer="built-in")._for_posed("sparse")
+    EstimateRequest(projection="naive", mode="both", measurer="built-in")._for_posed("sparse")
+    EstimateRequest(projection="planar", measurer="built-in")._for_plan("a.tif")
 
 
 def with_a_court(park):

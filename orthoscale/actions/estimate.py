@@ -238,7 +238,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
         match = on_map(source, asked.satellite, rough, request.cache, wanted.progress, footing)
     if match.evidence:
         with_map = replace(given, evidence=(*given.evidence, *match.evidence))
-        by_map = measure_source(source, found, fleet, with_map, request.mode)
+        by_map = measure_source(source, found, fleet, with_map, request.wanted_mode)
 
     anchors = FoundAnchors()
     if not method.vehicles_only and not by_map.scale.conflict:
@@ -249,7 +249,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     if not anchors.votes:
         return _Answer(by_map, with_map, anchors, match)
     with_anchors = replace(with_map, anchors=anchors.votes)
-    by_anchors = measure_source(source, found, fleet, with_anchors, request.mode)
+    by_anchors = measure_source(source, found, fleet, with_anchors, request.wanted_mode)
     return _Answer(by_anchors, with_anchors, anchors, match)
 
 
@@ -280,7 +280,7 @@ def _by_vehicles(
     """The scale by the vehicles `found`. Raises TooLittleEvidence that names the input and says how large vehicles are
     in it; UsageError."""
     try:
-        return measure_source(source, found, fleet, method, request.mode)
+        return measure_source(source, found, fleet, method, request.wanted_mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (resampling factor {found.zoom:.2f}, {_typical_length(found)})",
@@ -321,7 +321,7 @@ def _looked_for(
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
-        found, choice = find_in(source, request.mode, search)
+        found, choice = find_in(source, request.wanted_mode, search)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:

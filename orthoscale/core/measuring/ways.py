@@ -65,8 +65,6 @@ def measure_posed(
     TooLittleEvidence, UsageError.
     """
     method = method or Method()
-    if mode is None and method.projection is not None:
-        mode = OBLIQUE  # a projection is one of frames
     if mode in (PLANAR, BOTH) and found.planar is None:
         raise UsageError(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
