@@ -40,8 +40,7 @@ class Option:
     """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
 
     choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
-    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at
-    least 0.
+    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at least 0.
     is_file : whether a text names a file; a Path always does.
     """
 
@@ -70,8 +69,8 @@ def _is_no_word(text: str) -> bool:
 
 
 def flag(of: Field) -> str:
-    """What the command line calls the field `of` a request; of a switch that is on by default, the name that turns it
-    off. Other errors speak of options by this name too."""
+    """What the command line, and every error, calls the field `of` a request: a switch by what turns it from its
+    default, such as --no-cache."""
     named: str = of.metadata["option"].flag
     return named or "--" + of.name.replace("_", "-")
 
@@ -84,12 +83,11 @@ def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> st
         value = settings.get(each.name)
         if value is None or value == each.default or value == []:
             continue
-        on, *off = flag(each).split("/")
         if isinstance(value, bool):
-            words.append(off[0] if off and not value else on)
+            words.append(flag(each))
         else:
             for one in value if isinstance(value, (list, tuple)) else [value]:
-                words += [on, str(one)]
+                words += [flag(each), str(one)]
     there = f"{shlex.join(['cd', folder])}\n" if folder else ""
     return there + shlex.join(words)
 
@@ -202,12 +200,9 @@ class VehicleRequest:
 
     def settings(self) -> dict[str, Any]:
         """The options that are not at their defaults, as values that JSON knows: with them it is done again."""
-        said = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {
-            each.name: str(said[each.name]) if isinstance(said[each.name], Path) else said[each.name]
-            for each in fields(self)
-            if said[each.name] != each.default
-        }
+        every = ((each, getattr(self, each.name)) for each in fields(self))
+        said = {each.name: value for each, value in every if value != each.default}
+        return {name: str(value) if isinstance(value, Path) else value for name, value in said.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,6 +375,8 @@ class EstimateRequest(VehicleRequest):
                     "the estimator 'iqr' is the paper's, for vehicles only",
                     "Remove known distances and ground control, or use --estimator robust.",
                 )
+        if not self.anchors:
+            object.__setattr__(self, "anchors", (NO_KIND,))  # as the command line says it
         if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
@@ -550,7 +547,7 @@ class FixOptions(EstimateOptions, total=False):
 
 def _names_file(of: Field, value: Any) -> bool:
     about: Option = of.metadata["option"]
-    return value is not None and (about.kind is Path or (about.kind is str and about.is_file(str(value))))
+    return value is not None and (about.kind is Path or about.is_file(str(value)))
 
 
 _KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called

@@ -33,7 +33,7 @@ from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
-from orthoscale.requests import FixRequest, command_line
+from orthoscale.requests import EstimateRequest, FixRequest, command_line
 from orthoscale.sources.opening import open_source
 
 
@@ -489,6 +489,7 @@ def test_the_command_to_reproduce_has_what_is_not_a_default():
         "orthoscale estimate 'my ortho.tif' --fleet DE --vehicle-class car --vehicle-class 'a b' --exhaustive --seed 3"
     )
     assert command_line("x.tif", {"cache": False}) == "orthoscale estimate x.tif --no-cache"
+    assert command_line("x.tif", EstimateRequest(anchors=[]).settings()) == "orthoscale estimate x.tif --anchors none"
     assert command_line("x.tif", {}, "/my flights") == "cd '/my flights'\northoscale estimate x.tif"
 
 

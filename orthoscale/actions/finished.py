@@ -99,7 +99,7 @@ def _other_options(request: FixRequest, settings: Mapping[str, Any]) -> list[str
     """Names of the options that `settings`, those of a report, have otherwise than `request`."""
     asked = json.loads(json.dumps(request.with_absolute_paths().settings()))
     return [
-        flag(each).split("/")[0]
+        flag(each)
         for each in fields(request)
         if each.name not in SAME_COPY
         and asked.get(each.name) != settings.get(each.name)

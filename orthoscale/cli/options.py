@@ -128,9 +128,7 @@ def _option(of: Field) -> Callable[[Callable], Callable]:
     several = isinstance(of.default, tuple)
     more: dict[str, Any] = {"help": about.help, "group": about.group, "default": of.default}
     if about.kind is bool:
-        more |= {"is_flag": True} if "/" not in flag(of) else {}
-        if of.default is True and "/" not in flag(of):
-            more["flag_value"] = False
+        more |= {"is_flag": True, "flag_value": not of.default}
     else:
         more |= {"type": _type(about), "metavar": about.metavar, "multiple": several}
         more["show_default"] = not several and of.default not in (None, 0)
