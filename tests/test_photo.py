@@ -437,6 +437,17 @@ def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll
         assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=POOLED)
 
 
+def test_boxes_too_thin_for_a_higher_body_are_too_little_evidence(tmp_path, fleet):
+    """Rails or poles athwart a flat view: what they would measure if boxes enclosed 0.25 m more is not known."""
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-32)
+    centre = np.column_stack([np.linspace(150, 850, 10), np.full(10, SIZE[1] / 2)])
+    views, _ = photo.views(centre, ALTITUDE)
+    sides = np.stack([np.full(10, 4.5), 1.5 * np.sin(views.elevation)], -1) / views.unit_per_pixel[:, None]
+    boxes = Boxes(np.column_stack([centre, sides, np.zeros(10)]), np.ones(10))
+    with pytest.raises(TooLittleEvidence, match="shape of vehicles"):
+        measure([photo], detections_of({"a.jpg": boxes}), fleet)
+
+
 def test_altitude_and_resolution_lead_to_each_other(tmp_path):
     photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=1000, pitch=-30)
     assert photo.gsd_from(90.0) == pytest.approx(0.18) and photo.altitude_of(0.18) == pytest.approx(90)

@@ -19,7 +19,7 @@ from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..core.fleet import Fleet
-from ..core.measuring.geometry import Geometry, Observation
+from ..core.measuring.geometry import Geometry, Observation, larger_by
 from ..core.measuring.measure import measure as measure_boxes
 from ..core.measuring.measurement import Findings
 from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
@@ -27,7 +27,7 @@ from ..core.measuring.surroundings import Standards
 from ..core.measuring.systematic import Systematic
 from ..core.pooling.posterior import Z90
 from ..core.pooling.robust import MIN_VEHICLES
-from ..core.projection.exact import BODIES, ground_size
+from ..core.projection.exact import BODIES, size_by_ends_and_sides
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale, decimals
@@ -303,15 +303,14 @@ class PhotoGeometry:
         size = self._sizes(self.views, metres_per_unit, height)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
-        shared = {name: _change(size, self._sizes(v, metres_per_unit, height)) for name, v in self.off.items()}
-        raised = _change(size, self._sizes(self.views, metres_per_unit, height + HEIGHT_SD))
+        shared = {name: larger_by(self._sizes(v, metres_per_unit, height), size) for name, v in self.off.items()}
+        raised = larger_by(self._sizes(self.views, metres_per_unit, height + HEIGHT_SD), size)
         return Observation(size, self.found.ruler, Systematic(raised, shared))
 
     def _sizes(self, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
         """(N, 2) length and width of vehicles of the detector's body, each by the effective height of its own."""
-        body = BODIES[self.found.body]
-        bodies = [replace(body, height=h) for h in height]
-        return np.stack([ground_size(self.boxes, view, metres_per_unit, b)[:, k] for k, b in enumerate(bodies)], 1)
+        ends, sides = (replace(BODIES[self.found.body], height=h) for h in height.tolist())
+        return size_by_ends_and_sides(self.boxes, view, metres_per_unit, (ends, sides))
 
     def shown(self, place: np.ndarray) -> None:
         """None: the photo shows all."""
@@ -355,11 +354,6 @@ def _sideways(up: np.ndarray) -> np.ndarray:
     """(3,) the axis about which the camera tilts to its side."""
     axis = np.cross(up, RIGHT)
     return axis / np.linalg.norm(axis)
-
-
-def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(2,) median log ratio of lengths and of widths."""
-    return np.nanmedian(np.log(other / size), axis=0)
 
 
 def _thinned(scale: Scale, overlap: float) -> Scale:

@@ -8,15 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..anchors import AnchorVote, Standard
-from ..boxes import Boxes
 from ..evidence import Evidence
 from ..fleet import Fleet
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..projection import decoupled
-from ..projection.exact import FLAT, Hull
-from ..projection.exact import ground_size as exact_size
-from ..projection.view import Views
 from ..ruler import Ruler
 from ..scale import Scale
 from ..votes import Votes
@@ -55,21 +51,6 @@ class Method:
     def vehicles_only(self) -> bool:
         """Whether nothing but vehicles enters the scale: by the paper's estimator."""
         return self.estimator == "iqr"
-
-    def sizes(
-        self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
-    ) -> np.ndarray:
-        """(N, 2) length and width on the ground [units]; NaN where no vehicle gives the box.
-
-        `height` (2,) is up to where boxes enclose a vehicle, along its length and its width [m].
-        """
-        variant = VARIANTS_BY_NAME[self.projection or "exact"]
-        if variant is not None:
-            length, width, tall = (float(v) for v in fleet.mean)
-            return decoupled.ground_size(boxes, views, (length, width, tall), variant)
-        heights = np.full(2, FLAT) if self.projection == "planar" else height
-        sides = [exact_size(boxes, views, metres_per_unit, Hull(height=float(h)))[:, k] for k, h in enumerate(heights)]
-        return np.stack(sides, 1)
 
     def pool(
         self,

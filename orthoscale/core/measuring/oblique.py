@@ -18,7 +18,8 @@ from ..boxes import Boxes
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES
-from ..projection.exact import BODIES
+from ..projection import decoupled
+from ..projection.exact import BODIES, FLAT, Hull, ground_size
 from ..projection.height import lean
 from ..projection.self_calibration import OwnRuler, own_ruler, trends
 from ..projection.view import LOWEST_ELEVATION, Views
@@ -30,7 +31,7 @@ from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings, SelfCalibration
-from .method import Method
+from .method import VARIANTS_BY_NAME, Method
 from .model_drift import model_drift
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, objects_in_model, rows_in_model, world_axes
@@ -92,7 +93,7 @@ class FramesGeometry:
         seen = (source, found, fleet, boxes, np.array(names), view, lost, stands, footing)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
-        return OtherGeometry(*seen, projection=method.projection, method=method)
+        return OtherGeometry(*seen, projection=method.projection)
 
     @property
     def unit(self) -> str:
@@ -205,11 +206,14 @@ class OtherGeometry(FramesGeometry):
     """By another projection of `method.VARIANTS_BY_NAME`, without an effective height or with one of its own, and by
     the detector's card."""
 
-    method: Method = Method()
-
     def observe(self, metres_per_unit: float) -> Observation:
         """Boxes as they are, with their margin."""
-        size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
+        variant = VARIANTS_BY_NAME[self.projection]
+        if variant is None:  # planar
+            size = ground_size(self.boxes, self.views, metres_per_unit, Hull(height=FLAT))
+        else:
+            length, width, height = self.fleet.mean.tolist()
+            size = decoupled.ground_size(self.boxes, self.views, (length, width, height), variant)
         ok = np.isfinite(size).all(1)
         by_height = of_height(height_share(size[ok], lean(self.boxes, self.views)[ok], HEIGHT_SD / metres_per_unit))
         return Observation(size, self.found.ruler, by_height.and_shared(self.stands.alike), self.stands.each)

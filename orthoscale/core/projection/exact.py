@@ -101,6 +101,13 @@ def ground_size(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull |
     return np.concatenate(parts) if parts else np.empty((0, 2))
 
 
+def size_by_ends_and_sides(boxes: Boxes, views: Views, metres_per_unit: float, hulls: tuple[Hull, Hull]) -> np.ndarray:
+    """(N, 2) as `ground_size`: lengths by the first of `hulls`, widths by the second, for boxes need not enclose the
+    ends and the sides of vehicles up to the same height."""
+    length, width = (ground_size(boxes, views, metres_per_unit, hull) for hull in hulls)
+    return np.stack([length[:, 0], width[:, 1]], 1)
+
+
 def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np.ndarray:
     plan, heights = hull.outline()
     heights = heights / metres_per_unit

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..pooling.posterior import ROBUST_SD
-from .exact import FLAT, Hull, ground_size
+from .exact import FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 Trends = dict[str, dict[str, list[float]]]  # see `trends`
@@ -125,9 +125,7 @@ class OwnRuler:
         swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
         xylwa[swapped, 2:4] = boxes.xylwa[swapped, 2:4]
         tight = Boxes(xylwa, boxes.score)
-        size = np.stack(
-            [ground_size(tight, views, metres_per_unit, hull)[:, k] for k, hull in enumerate(self.hulls)], 1
-        )
+        size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
         if self.undercut.any():
             above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
             nearer = 1 - self.height / metres_per_unit / above  # a waist so high is closer than the ground
