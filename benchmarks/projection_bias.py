@@ -17,7 +17,7 @@ import numpy as np
 
 from orthoscale.core.projection import decoupled, exact
 from orthoscale.core.projection.exact import Hull
-from orthoscale.core.projection.self_calibration import CORNER, HEIGHT, LEAN
+from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, SeenBoxes
 from orthoscale.core.projection.view import Views
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
@@ -109,7 +109,7 @@ def other_bodies(flight: Flight, vehicles: int = 100) -> str:
             ruler = found_ruler(seen, kind)
             cells = []
             for s in seen:
-                size = UNIT * ruler.size(s.boxes, s.views(unit=UNIT), 1.0, UNIT)
+                size = UNIT * ruler.size(SeenBoxes(s.boxes, s.views(unit=UNIT), 1.0, UNIT))
                 cells.append(cell(np.log(body.size / size).mean(1)))
             found = [" / ".join(f"{v:.2f}" for v in ruler.value[:, k]) for k in (HEIGHT, LEAN)]
             rows.append([name, reach, kind, *found, f"{ruler.value[0, CORNER]:.2f}", *cells])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoscale.core.projection import self_calibration as calibration
+from orthoscale.core.projection.own_ruler import HEIGHT, MARGIN, UNDERCUT
 from orthoscale.fleets import load_fleet
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
@@ -30,7 +30,7 @@ def main() -> None:
     for height, margin, undercut in [*((h, m, 0.0) for h in HEIGHTS for m in MARGINS), *UNDERCUTS]:
         flights = [fly(np.random.default_rng([k, 1]), fleet, height, margin, undercut=undercut) for k in range(FLIGHTS)]
         found = [find(flight) for flight in flights]
-        shown = [calibration.HEIGHT, calibration.MARGIN, calibration.UNDERCUT]
+        shown = [HEIGHT, MARGIN, UNDERCUT]
         value = np.array([ruler.value[:, shown] for ruler, _ in found])  # (flights, axes, shown)
         error = 100 * np.array([e for _, e in found])
         cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(6, -1)]

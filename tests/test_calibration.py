@@ -13,7 +13,8 @@ from support.simulate import DENSEUAV, Body, found_ruler
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection import self_calibration
 from orthoscale.core.projection.exact import Hull
-from orthoscale.core.projection.self_calibration import CORNER, UNDERCUT, OwnRuler, own_ruler, trends
+from orthoscale.core.projection.own_ruler import CORNER, UNDERCUT, OwnRuler, SeenBoxes
+from orthoscale.core.projection.self_calibration import self_calibrated, trends
 from orthoscale.core.projection.view import Views
 from orthoscale.fleets import load_fleet
 
@@ -57,7 +58,7 @@ def test_odd_boxes_do_not_steer(flight):
 @pytest.mark.slow
 def test_a_trend_is_gone_once_the_ruler_is_found(flight):
     ruler, _ = find(flight)
-    shown = [r.size(flight.boxes, flight.views, 1.0, UNIT) for r in (CARD, ruler)]
+    shown = [r.size(flight.seen()) for r in (CARD, ruler)]
     elevation, pixel = np.degrees(flight.views.elevation), flight.views.unit_per_pixel
     changes = trends(*shown, elevation, pixel, flight.members)
     assert changes["after"].keys() == changes["before"].keys() and len(changes["after"]) > 1
@@ -69,19 +70,19 @@ def test_a_trend_is_gone_once_the_ruler_is_found(flight):
 
 def test_from_one_altitude_the_margin_stays_as_shipped(flight):
     level = fly(np.random.default_rng(3), load_fleet("DE"), 1.1, 3.0, vehicles=40, frames=20, altitude=(90, 90))
-    ruler = own_ruler(level.boxes, level.views, 1.0, level.members, UNIT, CARD)
+    ruler = self_calibrated(level.seen(), level.members, CARD)
     assert (ruler.margin == CARD.margin).all() and (ruler.height != CARD.height).all()
 
 
 def test_what_the_views_do_not_tell_stays_as_shipped(flight):
     single = [np.array([k]) for k in range(len(flight.boxes))]
-    assert own_ruler(flight.boxes, flight.views, 1.0, single, UNIT, CARD) is CARD
+    assert self_calibrated(flight.seen(), single, CARD) is CARD
     size = np.ones((len(flight.boxes), 2))
     assert trends(size, size, size[:, 0], size[:, 0], single) is None
 
 
 def test_what_is_unknown_of_height_and_margin_adds_up(flight):
-    size, slopes = (f(flight.boxes, flight.views, 1.0, UNIT) for f in (CARD.size, CARD.slopes))
+    size, slopes = (f(flight.seen()) for f in (CARD.size, CARD.slopes))
     good = np.isfinite(slopes).all((1, 2))
     shares = np.median(slopes[good] / size[good, :, None], axis=0)
     alone = CARD.relative_sd(size[good], slopes[good])
@@ -94,10 +95,11 @@ def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_agai
     body = Body.of("car", Hull(height=0.8, end_lean=0.1, side_lean=0.1))
     seen = [simulate.fly(np.random.default_rng(k), 40, DENSEUAV, p, body) for k, p in enumerate((-80, -70))]
     boxes, views = Boxes.concatenate([s.boxes for s in seen]), Views.concatenate([s.views(unit=UNIT) for s in seen])
+    every = SeenBoxes(boxes, views, 1.0, UNIT)
     card, own = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3)), found_ruler(seen, "car")
-    card_off, own_off = (np.log(np.nanmedian(r.size(boxes, views, 1.0, UNIT)[:, 0]) * UNIT / 4.4) for r in (card, own))
+    card_off, own_off = (np.log(np.nanmedian(r.size(every)[:, 0]) * UNIT / 4.4) for r in (card, own))
     assert own.height[0] < 0.65 and abs(own_off) < 0.5 * abs(card_off), "lengths: the height makes up for the lean"
-    size, slopes = (f(boxes, views, 1.0, UNIT) for f in (own.size, own.slopes))
+    size, slopes = own.size(every), own.slopes(every)
     good = np.isfinite(slopes).all((1, 2))
     together = np.sqrt((own.relative_sd(size[good], slopes[good])[0] ** 2).sum())
     shares = np.median(slopes[good, 0] / size[good, :1], axis=0)
@@ -108,7 +110,7 @@ def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_agai
 
 def test_slopes_do_not_leave_what_bodies_can_be(flight):
     sharp = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0), Hull(corner=0.0))
-    slopes = sharp.slopes(flight.boxes, flight.views, 1.0, UNIT, [CORNER])[..., CORNER]
-    size = sharp.size(flight.boxes, flight.views, 1.0, UNIT)
+    slopes = sharp.slopes(flight.seen(), [CORNER])[..., CORNER]
+    size = sharp.size(flight.seen())
     share = np.nanmedian(np.abs(slopes / size), axis=0)
     assert share[1] < 0.1, "a corner takes nothing off the width; one cut off outwards would add to it"

@@ -11,6 +11,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection import exact
 from orthoscale.core.projection.exact import BEND, BODIES, Hull, ground_size
 from orthoscale.core.projection.height import lean
+from orthoscale.core.projection.own_ruler import SeenBoxes
 from orthoscale.core.projection.planar import footprint
 from orthoscale.core.projection.view import Views
 
@@ -103,7 +104,7 @@ def test_the_views_of_another_body_tell_a_ruler_that_suits_it(name):
     seen = [flown(np.random.default_rng(-p), 60, DENSEUAV, p, shape) for p in PITCHES]
     ruler = found_ruler(seen, told)
     for s in seen:
-        error = np.log(shape.size / (UNIT * ruler.size(s.boxes, s.views(unit=UNIT), 1.0, UNIT)))
+        error = np.log(shape.size / (UNIT * ruler.size(SeenBoxes(s.boxes, s.views(unit=UNIT), 1.0, UNIT))))
         assert abs(np.nanmean(error)) < worst, s.pitch
 
 

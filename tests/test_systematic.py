@@ -10,7 +10,7 @@ from orthoscale.core.measuring.measurement import Pooled
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic, of_height
 from orthoscale.core.measuring.ways import united
 from orthoscale.core.pooling.robust import vote_noise
-from orthoscale.core.projection.self_calibration import CORNER, HEIGHT, LEAN, OwnRuler
+from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, OwnRuler
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 

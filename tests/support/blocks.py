@@ -21,7 +21,7 @@ from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
 from orthoscale.core.market_segments import PlaceKind
 from orthoscale.core.measuring.oblique import HEIGHT_SD
 from orthoscale.core.projection.exact import BEND
-from orthoscale.core.projection.self_calibration import CORNER_SD, LEAN_SD
+from orthoscale.core.projection.own_ruler import CORNER_SD, LEAN_SD
 from orthoscale.core.ruler import Ruler
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic.model import SceneToModel

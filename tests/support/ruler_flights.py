@@ -8,7 +8,8 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.fleet import Fleet
-from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
+from orthoscale.core.projection.own_ruler import OwnRuler, SeenBoxes
+from orthoscale.core.projection.self_calibration import self_calibrated
 from orthoscale.core.projection.view import Views
 
 from .bodies import CAR, body
@@ -28,6 +29,9 @@ class Flight:
     views: Views
     vehicle: np.ndarray
     size: np.ndarray
+
+    def seen(self, metres_per_unit: float = UNIT) -> SeenBoxes:
+        return SeenBoxes(self.boxes, self.views, 1.0, metres_per_unit)
 
     @property
     def members(self) -> list[np.ndarray]:
@@ -94,6 +98,6 @@ def fly(
 def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.ndarray]:
     """The ruler that the flight finds, and the error of the scale by lengths and by widths that it leaves."""
     card = OwnRuler.shipped(CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD)
-    ruler = own_ruler(flight.boxes, flight.views, 1.0, flight.members, metres_per_unit, card)
-    size = ruler.size(flight.boxes, flight.views, 1.0, metres_per_unit) * UNIT
+    ruler = self_calibrated(flight.seen(metres_per_unit), flight.members, card)
+    size = ruler.size(flight.seen(metres_per_unit)) * UNIT
     return ruler, np.nanmean(np.log(flight.size[flight.vehicle] / size), axis=0)

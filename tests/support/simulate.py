@@ -11,7 +11,8 @@ from orthoscale.core.boxes import KINDS, Boxes
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
 from orthoscale.core.pooling.observed import CALLED_ANYTHING
 from orthoscale.core.projection.exact import BODIES, Hull
-from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
+from orthoscale.core.projection.own_ruler import OwnRuler, SeenBoxes
+from orthoscale.core.projection.self_calibration import self_calibrated
 from orthoscale.core.projection.view import Views
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Votes
@@ -180,7 +181,7 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
     )
     groups = np.array_split(np.random.default_rng(0).permutation(len(boxes)), len(boxes) // 20)
     card = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), BODIES[body])
-    return own_ruler(boxes, views, 1.0, groups, UNIT, card)
+    return self_calibrated(SeenBoxes(boxes, views, 1.0, UNIT), groups, card)
 
 
 def _vehicles_of_place(rng: np.random.Generator, fleet: Fleet) -> float:

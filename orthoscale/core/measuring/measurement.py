@@ -11,7 +11,8 @@ import numpy as np
 from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..pooling.agreement import Agreement
-from ..projection.self_calibration import OwnRuler, Trends
+from ..projection.own_ruler import OwnRuler
+from ..projection.self_calibration import Trends
 from ..remarks import INFO, Remark
 from ..ruler import Ruler
 from ..scale import Scale

@@ -21,7 +21,8 @@ from ..pooling.robust import MIN_VEHICLES
 from ..projection import decoupled
 from ..projection.exact import BODIES, FLAT, Hull, ground_size
 from ..projection.height import lean
-from ..projection.self_calibration import OwnRuler, own_ruler, trends
+from ..projection.own_ruler import OwnRuler, SeenBoxes
+from ..projection.self_calibration import self_calibrated, trends
 from ..projection.view import LOWEST_ELEVATION, Views
 from ..scale import Scale
 from ..source import PosedSet
@@ -132,6 +133,10 @@ class FramesGeometry:
             BODIES[found.body],
         )
 
+    def seen(self, metres_per_unit: float) -> SeenBoxes:
+        """The boxes with their views, at this scale."""
+        return SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
+
     def shown(self, place: np.ndarray) -> np.ndarray:
         """(N,) number of frames that show the places (N, 3)."""
         return shown_in_frames(self.source, self.found, self.boxes, place)
@@ -171,8 +176,8 @@ class ExactGeometry(FramesGeometry):
 
     def observe(self, metres_per_unit: float) -> Observation:
         """The margin comes off the boxes before they are projected."""
-        ruler, known, zoom = self._ruler, self.found.ruler, self.found.zoom
-        size, slopes = (f(self.boxes, self.views, zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
+        ruler, known, seen = self._ruler, self.found.ruler, self.seen(metres_per_unit)
+        size, slopes = ruler.size(seen), ruler.slopes(seen)
         solved = np.isfinite(size).all(1)
         if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that the margin may be all there is
             return Observation(np.full_like(size, np.nan), known)
@@ -183,21 +188,19 @@ class ExactGeometry(FramesGeometry):
         by_body = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
         shared = self.stands.alike
         if self.source.focal.sd:
-            longer = ruler.size(self.boxes, self.views.with_focal(1 + self.source.focal.sd), zoom, metres_per_unit)
+            longer = ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
             shared = {**shared, "focal length": larger_by(longer, size)}
         left_of_card = ruler.left_of_height(self.card, size[solved], slopes[solved])
         return Observation(size, left, of_height(by_body, left_of_card).and_shared(shared), self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """With the ruler for which vehicles have one size from all their views."""
-        ok = seen.solved
-        zoom, counted = self.found.zoom, votes.counted(scale.used)
-        ruler = own_ruler(self.boxes[ok], self.views[ok], zoom, counted, scale.value, self.card, self._ruler)
-        return replace(self, ruler=ruler)
+        boxes = self.seen(scale.value)[seen.solved]
+        return replace(self, ruler=self_calibrated(boxes, votes.counted(scale.used), self.card, self._ruler))
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """The ruler, and how the scale changes from frame to frame and from place to place."""
-        shipped = self.card.size(self.boxes, self.views, self.found.zoom, scale.value)
+        shipped = self.card.size(self.seen(scale.value))
         return self._findings(seen, shipped, seen.size, self._ruler, vehicles, scale)
 
 

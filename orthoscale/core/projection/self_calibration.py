@@ -9,15 +9,13 @@ steps, repeated until they converge.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from ..boxes import Boxes
 from ..pooling.posterior import ROBUST_SD
-from .exact import FLAT, Hull, ground_size, size_by_ends_and_sides
+from .own_ruler import CORNER, HEIGHT, LARGEST, LEAN, LOWEST, MARGIN, UNDERCUT, OwnRuler, SeenBoxes
 from .view import Views
 
 Trends = dict[str, dict[str, list[float]]]  # see `trends`
@@ -26,24 +24,15 @@ Free = tuple[list[int], list[int]]  # columns of `OwnRuler.value` that are fitte
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
 RULER_STEPS = 16
-HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
 STRIDE = (0.3, 3.0, 0.3, 0.08, 0.08)  # of one step, at most: far from the answer the slopes are another body's
-DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [m], [1/m], share of the width
 RULER_SETTLED, SAME_SLOPES = 0.03, 0.1  # shares of STRIDE at which the steps end, and slopes are not measured again
-HIGHEST = 2.2  # of the effective height [m]: the roof of a van
 # A card knows no undercut: its effective height is that of a body with upright sides, which grows as much in a view of
 # USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma.
-UNDERCUT_SD, LEAST_UNDERCUT, MOST_UNDERCUT = 0.3, 0.05, 1.0  # [m]; less shows in upright bodies too, by noise
+UNDERCUT_SD, LEAST_UNDERCUT = 0.3, 0.05  # [m]; less shows in upright bodies too, by noise
 USUAL_LEAN = 0.7
-# How far vehicles' shapes stray from the hull's, one sigma, held against what views tell: their lean by lengths and
-# widths (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length
-# from the bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 a van's.
-LEAN_SD = (0.1, 0.08)
-CORNER_SD = 0.07
 # Other shapes than upright walls, by what lengths and widths tell beyond height and margin: a body that recedes below
 # its waist, one whose walls lean. Corners show where the ground is foreshortened athwart: in lengths.
 SHAPES = (([UNDERCUT], [UNDERCUT]), ([LEAN, CORNER], [LEAN]))
-LOWEST, LARGEST = (0.0, -np.inf, 0.0, -1.0, 0.0), (HIGHEST, np.inf, MOST_UNDERCUT, 1.0, 0.3)
 # How much distances to one vehicle must differ, one sigma, beyond what its elevation angles explain, before its views
 # tell a margin. At one altitude, distance and elevation are one thing, and a margin would take up whatever else makes
 # boxes change with elevation.
@@ -51,180 +40,25 @@ FAR_AND_NEAR = 0.05
 HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 
 
-@dataclass(frozen=True)
-class OwnRuler:
-    """A ruler for lengths and for widths: height [m], margin [detector px], undercut [m], lean [1/m], corner [of the
-    width].
-
-    A vehicle is widest above the ground; below, it recedes into its own shade. In steep views its outline is that of
-    the waist on all sides, which is its true size. In flatter views the near side ends on the ground, `undercut`
-    further in, and only then does height make a box larger. Fitting a straight line to the flat views alone, as for a
-    body with upright sides, would remove too much everywhere: on `sheffield` 11 % of the widths.
-
-    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis. views : number of boxes that they
-    were fitted to, 0 for the detector's own values. body : the hull to which height, lean and corner belong.
-    """
-
-    value: np.ndarray
-    covariance: np.ndarray
-    views: int = 0
-    body: Hull = Hull()
-
-    @classmethod
-    def shipped(
-        cls,
-        height: Sequence[float],
-        margin: Sequence[float],
-        height_sd: Sequence[float],
-        margin_sd: Sequence[float],
-        body: Hull | None = None,
-    ) -> OwnRuler:
-        """What the detector's card says, (2,) each, by lengths and by widths; it knows no undercut."""
-        body = body or Hull()
-        value = [[h, m, 0.0, 0.0, body.corner] for h, m in zip(height, margin, strict=True)]
-        sd = [[h, m, 0.0, lean, CORNER_SD] for h, m, lean in zip(height_sd, margin_sd, LEAN_SD, strict=True)]
-        return cls(np.array(value, float), np.array([np.diag(np.square(one)) for one in sd]), body=body)
-
-    @property
-    def height(self) -> np.ndarray:
-        """(2,) [m]."""
-        return self.value[:, HEIGHT]
-
-    @property
-    def margin(self) -> np.ndarray:
-        """(2,) [detector px]."""
-        return self.value[:, MARGIN]
-
-    @property
-    def undercut(self) -> np.ndarray:
-        """(2,) [m]."""
-        return self.value[:, UNDERCUT]
-
-    @property
-    def sd(self) -> np.ndarray:
-        """(2, 5) one-sigmas, as `value`."""
-        return np.sqrt(np.einsum("kii->ki", self.covariance))
-
-    @property
-    def hulls(self) -> tuple[Hull, Hull]:
-        """The bodies by which lengths and widths are measured."""
-        along, across = (
-            replace(self.body, height=height, end_lean=lean, side_lean=lean, corner=corner)
-            for height, _, _, lean, corner in self.value.tolist()
-        )
-        return along, across
-
-    def size(self, boxes: Boxes, views: Views, zoom: float, metres_per_unit: float) -> np.ndarray:
-        """(N, 2) length and width on the ground [units], the margin taken off; NaN where no vehicle gives the box.
-
-        `zoom` is detector pixels per picture pixel. The margin comes off the box, before it is projected: seen
-        obliquely, a pixel covers more ground away from the camera than across.
-        """
-        xylwa = boxes.xylwa.copy()
-        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] - self.margin / zoom, 1e-6)
-        swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
-        xylwa[swapped, 2:4] = boxes.xylwa[swapped, 2:4]
-        tight = Boxes(xylwa, boxes.score)
-        size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
-        if self.undercut.any():
-            above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
-            nearer = 1 - self.height / metres_per_unit / above  # a waist so high is closer than the ground
-            waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
-            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
-        size[swapped] = np.nan
-        return size
-
-    def slopes(
-        self,
-        boxes: Boxes,
-        views: Views,
-        zoom: float,
-        metres_per_unit: float,
-        columns: Iterable[int] = range(len(DIFFERENCES)),
-    ) -> np.ndarray:
-        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units], 0 but for `columns`."""
-        out = np.zeros((len(boxes), 2, len(DIFFERENCES)))
-        for k in columns:
-            change = np.zeros(len(DIFFERENCES))
-            change[k] = DIFFERENCES[k]
-            low, high = (np.clip(self.value + sign * change, LOWEST, LARGEST) for sign in (-1, 1))
-            less, more = (replace(self, value=value).size(boxes, views, zoom, metres_per_unit) for value in (low, high))
-            out[:, :, k] = (less - more) / (high - low)[:, k]
-        return out
-
-    def relative_sd(self, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(2 axes, 5) one-sigmas of all sizes, relative, from what is not known of each of `value`.
-
-        These are found together and may err against each other: their squares add up to what they leave together.
-        """
-        share = _median_share(size, slopes)
-        together = np.einsum("ki,kij,kj->k", share, self.covariance, share)
-        alone = (share * self.sd) ** 2
-        return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
-
-    def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(2,) by how much lengths' and widths' errors from bodies correlate with the error of the card's height.
-
-        What views told makes the error of a height, h - fitted, independent of fitted - card; so its covariance with
-        h - card is its own variance, and that of any other error its covariance with h - fitted. 1 where no view told.
-        None below zero: two errors that cancel in a mean would be more than is known of bodies.
-        """
-        bodies = [HEIGHT, UNDERCUT, LEAN, CORNER]
-        share = _median_share(size, slopes)[:, bodies]
-        covariance = self.covariance[:, bodies][:, :, bodies]
-        with_height = np.einsum("ki,ki->k", share, covariance[:, :, 0])
-        variance = np.einsum("ki,kij,kj->k", share, covariance, share)
-        return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
-
-    def document(self, shipped: OwnRuler) -> dict[str, Any]:
-        """As plain values, beside those that were `shipped`."""
-        return {
-            "views": self.views,
-            **{
-                name: {
-                    "card": shipped.value[:, k].tolist(),
-                    "fitted": self.value[:, k].tolist(),
-                    "sd": self.sd[:, k].tolist(),
-                }
-                for k, name in enumerate(("effective_height", "margin_px", "undercut", "lean_per_m", "corner"))
-            },
-        }
-
-
-def _median_share(size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """(2 axes, 5) by what share the usual one of sizes (N, 2) is smaller for one more of each of a ruler's values, by
-    their `slopes` (N, 2, 5)."""
-    return np.nanmedian(slopes / size[..., None], axis=0)
-
-
-def own_ruler(
-    boxes: Boxes,
-    views: Views,
-    zoom: float,
-    members: Sequence[np.ndarray],
-    metres_per_unit: float,
-    shipped: OwnRuler,
-    start: OwnRuler | None = None,
+def self_calibrated(
+    boxes: SeenBoxes, members: Sequence[np.ndarray], shipped: OwnRuler, start: OwnRuler | None = None
 ) -> OwnRuler:
     """The ruler for which vehicles have one size in all their views, with the detector's own as the prior.
 
-    start : the current ruler, if it is not `shipped`. members : indices of each vehicle's boxes. metres_per_unit : the
-    current scale, for the hull's shape.
+    members : indices of each vehicle's boxes. start : the current ruler, if it is not `shipped`.
     """
-    often = [m for m in members if len(m) >= MIN_VIEWS]
-    if sum(map(len, often)) < MIN_RESIDUALS:
+    index, vehicle = _often_seen(members)
+    if len(index) < MIN_RESIDUALS:
         return shipped
-    index = np.concatenate(often)
-    vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
-    seen = _RulerData(boxes[index], views[index], zoom, metres_per_unit, vehicle, shipped)
-    common = [HEIGHT, MARGIN] if _far_and_near(seen.views, vehicle) else [HEIGHT]
+    seen = _RulerData(boxes[index], vehicle, shipped)
+    common = [HEIGHT, MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [HEIGHT]
     plain = _settled(start or shipped, seen, (common, common))
-    before = seen.size(plain)
+    before = plain.size(seen.boxes)
     best, most, fitted = plain, 0.0, (common, common)
     for shape in SHAPES:
         free = (common + shape[0], common + shape[1])
         shaped = _settled(_undercut(plain) if UNDERCUT in free[0] else plain, seen, free)
-        gain = _gain(before, seen.size(shaped), vehicle)
+        gain = _gain(before, shaped.size(seen.boxes), vehicle)
         # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
         gain -= sum(map(len, shape)) * float(np.log(len(index)))
         told = UNDERCUT not in free[0] or shaped.undercut.max() > LEAST_UNDERCUT
@@ -235,23 +69,12 @@ def own_ruler(
 
 @dataclass(frozen=True)
 class _RulerData:
-    """The data that a ruler is fitted to: N boxes of vehicles with enough views, and their views. vehicle : (N,) index
-    of each one's vehicle. shipped : the prior. Others as of `own_ruler`."""
+    """The data that a ruler is fitted to: N boxes of vehicles with enough views, and (N,) the index of each one's
+    vehicle. shipped : the prior."""
 
-    boxes: Boxes
-    views: Views
-    zoom: float
-    metres_per_unit: float
+    boxes: SeenBoxes
     vehicle: np.ndarray
     shipped: OwnRuler
-
-    def size(self, ruler: OwnRuler) -> np.ndarray:
-        """`OwnRuler.size` of all."""
-        return ruler.size(self.boxes, self.views, self.zoom, self.metres_per_unit)
-
-    def slopes(self, ruler: OwnRuler, columns: Iterable[int] = range(len(DIFFERENCES))) -> np.ndarray:
-        """`OwnRuler.slopes` of all."""
-        return ruler.slopes(self.boxes, self.views, self.zoom, self.metres_per_unit, columns)
 
     def prior(self, free: Free) -> np.ndarray:
         """(2, 5, 5) covariance beforehand, where `free` may be fitted."""
@@ -272,9 +95,9 @@ def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
     change, slopes = np.inf, np.empty(0)
     for _ in range(RULER_STEPS):
-        size = seen.size(ruler)
+        size = ruler.size(seen.boxes)
         if change > SAME_SLOPES:
-            slopes = seen.slopes(ruler, {*free[0], *free[1]})
+            slopes = ruler.slopes(seen.boxes, {*free[0], *free[1]})
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         value, covariance = shipped.value.copy(), shipped.covariance.copy()
         for axis in range(2):
@@ -310,7 +133,7 @@ def _with_the_rest(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     together; by what they would change if all were free, they may be off besides, though by no more than was not known
     before: far off, the slopes are another body's.
     """
-    shipped, prior, size, slopes = seen.shipped, seen.prior(free), seen.size(ruler), seen.slopes(ruler)
+    shipped, prior, size, slopes = seen.shipped, seen.prior(free), ruler.size(seen.boxes), ruler.slopes(seen.boxes)
     good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
     covariance = np.zeros_like(shipped.covariance)
     for axis in range(2):
@@ -343,15 +166,10 @@ def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
     """
     good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
     plain, shaped, vehicle = plain[good], shaped[good], vehicle[good]
-    count = np.maximum(np.bincount(vehicle), 1)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(vehicle, column) / count for column in values.T], 1)[vehicle]
-
-    typical = np.exp(mean(np.log(plain)))
+    typical = np.exp(_mean_of_vehicle(np.log(plain), vehicle))
     gains = []
     for before, after in ((np.log(plain), np.log(shaped)), (plain / typical, shaped / typical)):
-        old, new = (np.abs(values - mean(values)) for values in (before, after))
+        old, new = (np.abs(values - _mean_of_vehicle(values, vehicle)) for values in (before, after))
         noise = np.maximum(ROBUST_SD * np.median(new, axis=0), 1e-9)
         loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old / noise, new / noise)]
         gains.append(float(loss[0] - loss[1]))
@@ -368,11 +186,9 @@ def trends(
     Slopes of the log scale in percent per 10 degrees and per doubling of the length in pixels, each [slope, one sigma].
     """
     known = np.isfinite(before).all(1) & np.isfinite(after).all(1)
-    often = [m for m in (m[known[m]] for m in members) if len(m) >= MIN_VIEWS]
-    if sum(map(len, often)) < MIN_RESIDUALS:
+    index, vehicle = _often_seen([m[known[m]] for m in members])
+    if len(index) < MIN_RESIDUALS:
         return None
-    index = np.concatenate(often)
-    vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
     over = {"percent_per_10_degrees": elevation / 10, "percent_per_pixel_doubling": -np.log2(pixel)}
     out: Trends = {}
     for when, size in (("before", before), ("after", after)):
@@ -384,13 +200,23 @@ def trends(
     return out
 
 
+def _often_seen(members: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (N,) of the boxes of vehicles with MIN_VIEWS or more, and (N,) the number of each one's vehicle."""
+    often = [m for m in members if len(m) >= MIN_VIEWS]
+    index = np.concatenate([np.empty(0, int), *often])
+    return index, np.repeat(np.arange(len(often)), [len(m) for m in often])
+
+
+def _mean_of_vehicle(values: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
+    """`values` (N, D), each replaced by the mean of its `vehicle` (N,)."""
+    count = np.maximum(np.bincount(vehicle), 1)
+    return np.stack([np.bincount(vehicle, column) / count for column in values.T], 1)[vehicle]
+
+
 def _far_and_near(views: Views, vehicle: np.ndarray) -> bool:
     """Whether the views of a vehicle (N,) differ in distance by more than their elevation angles explain."""
-    count = np.maximum(np.bincount(vehicle), 1)
-    pixel, steep = (
-        v - (np.bincount(vehicle, v) / count)[vehicle]
-        for v in (np.log(views.unit_per_pixel), np.log(np.sin(views.elevation)))
-    )
+    values = np.log(np.stack([views.unit_per_pixel, np.sin(views.elevation)], 1))
+    pixel, steep = (values - _mean_of_vehicle(values, vehicle)).T
     explained = steep * (steep @ pixel) / max(float(steep @ steep), 1e-12)
     return float(np.std(pixel - explained)) > FAR_AND_NEAR
 
@@ -403,13 +229,8 @@ def _within(
     Boxes of one vehicle err alike (its paint, its shade), so the scores are summed by vehicle before their scatter is
     taken (Liang and Zeger 1986); it never counts for less than the residuals do.
     """
-    count = np.maximum(np.bincount(vehicle), 1)
-
-    def centred(values: np.ndarray) -> np.ndarray:
-        return values - (np.bincount(vehicle, values) / count)[vehicle]
-
-    x = np.stack([centred(column) for column in x.T], 1)
-    y = centred(y)
+    x = x - _mean_of_vehicle(x, vehicle)
+    y = y - _mean_of_vehicle(y[:, None], vehicle)[:, 0]
     freedom = max(1 - len(np.unique(vehicle)) / len(y), 0.1)  # each vehicle's mean costs one observation
     held = np.linalg.inv(prior_covariance)
     weight, slope, design = np.ones(len(y)), prior, 1.0

@@ -1,0 +1,183 @@
+"""A ruler of a reconstruction's own: up to where boxes enclose vehicles, by how much they exceed them, and their shape.
+
+`self_calibration` fits it to how sizes change from view to view; the detector's card is one, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..boxes import Boxes
+from .exact import FLAT, Hull, ground_size, size_by_ends_and_sides
+from .view import Views
+
+HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
+DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [m], [1/m], share of the width
+HIGHEST = 2.2  # of the effective height [m]: the roof of a van
+MOST_UNDERCUT = 1.0  # [m]
+LOWEST, LARGEST = (0.0, -np.inf, 0.0, -1.0, 0.0), (HIGHEST, np.inf, MOST_UNDERCUT, 1.0, 0.3)
+# How far vehicles' shapes stray from the hull's, one sigma, held against what views tell: their lean by lengths and
+# widths (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length
+# from the bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 a van's.
+LEAN_SD = (0.1, 0.08)
+CORNER_SD = 0.07
+
+
+@dataclass(frozen=True)
+class SeenBoxes:
+    """N boxes in frames, and how these see the ground there.
+
+    zoom : detector pixels per picture pixel. metres_per_unit : the scale so far, which the bodies' heights [m] need.
+    """
+
+    boxes: Boxes
+    views: Views
+    zoom: float
+    metres_per_unit: float
+
+    def __getitem__(self, some: np.ndarray) -> SeenBoxes:
+        return replace(self, boxes=self.boxes[some], views=self.views[some])
+
+
+@dataclass(frozen=True)
+class OwnRuler:
+    """A ruler for lengths and for widths: height [m], margin [detector px], undercut [m], lean [1/m], corner [of the
+    width].
+
+    A vehicle is widest above the ground; below, it recedes into its own shade. In steep views its outline is that of
+    the waist on all sides, which is its true size. In flatter views the near side ends on the ground, `undercut`
+    further in, and only then does height make a box larger. Fitting a straight line to the flat views alone, as for a
+    body with upright sides, would remove too much everywhere: on `sheffield` 11 % of the widths.
+
+    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis. views : number of boxes that they
+    were fitted to, 0 for the detector's own values. body : the hull to which height, lean and corner belong.
+    """
+
+    value: np.ndarray
+    covariance: np.ndarray
+    views: int = 0
+    body: Hull = Hull()
+
+    @classmethod
+    def shipped(
+        cls,
+        height: Sequence[float],
+        margin: Sequence[float],
+        height_sd: Sequence[float],
+        margin_sd: Sequence[float],
+        body: Hull | None = None,
+    ) -> OwnRuler:
+        """What the detector's card says, (2,) each, by lengths and by widths; it knows no undercut."""
+        body = body or Hull()
+        value = [[h, m, 0.0, 0.0, body.corner] for h, m in zip(height, margin, strict=True)]
+        sd = [[h, m, 0.0, lean, CORNER_SD] for h, m, lean in zip(height_sd, margin_sd, LEAN_SD, strict=True)]
+        return cls(np.array(value, float), np.array([np.diag(np.square(one)) for one in sd]), body=body)
+
+    @property
+    def height(self) -> np.ndarray:
+        """(2,) [m]."""
+        return self.value[:, HEIGHT]
+
+    @property
+    def margin(self) -> np.ndarray:
+        """(2,) [detector px]."""
+        return self.value[:, MARGIN]
+
+    @property
+    def undercut(self) -> np.ndarray:
+        """(2,) [m]."""
+        return self.value[:, UNDERCUT]
+
+    @property
+    def sd(self) -> np.ndarray:
+        """(2, 5) one-sigmas, as `value`."""
+        return np.sqrt(np.einsum("kii->ki", self.covariance))
+
+    @property
+    def hulls(self) -> tuple[Hull, Hull]:
+        """The bodies by which lengths and widths are measured."""
+        along, across = (
+            replace(self.body, height=height, end_lean=lean, side_lean=lean, corner=corner)
+            for height, _, _, lean, corner in self.value.tolist()
+        )
+        return along, across
+
+    def size(self, seen: SeenBoxes) -> np.ndarray:
+        """(N, 2) length and width on the ground [units], the margin taken off; NaN where no vehicle gives the box.
+
+        The margin comes off the box, before it is projected: seen obliquely, a pixel covers more ground away from the
+        camera than across.
+        """
+        views, metres_per_unit = seen.views, seen.metres_per_unit
+        xylwa = seen.boxes.xylwa.copy()
+        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] - self.margin / seen.zoom, 1e-6)
+        swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
+        xylwa[swapped, 2:4] = seen.boxes.xylwa[swapped, 2:4]
+        tight = Boxes(xylwa, seen.boxes.score)
+        size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
+        if self.undercut.any():
+            above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
+            nearer = 1 - self.height / metres_per_unit / above  # a waist so high is closer than the ground
+            waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
+            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
+        size[swapped] = np.nan
+        return size
+
+    def slopes(self, seen: SeenBoxes, columns: Iterable[int] = range(len(DIFFERENCES))) -> np.ndarray:
+        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units], 0 but for `columns`."""
+        out = np.zeros((len(seen.boxes), 2, len(DIFFERENCES)))
+        for k in columns:
+            change = np.zeros(len(DIFFERENCES))
+            change[k] = DIFFERENCES[k]
+            low, high = (np.clip(self.value + sign * change, LOWEST, LARGEST) for sign in (-1, 1))
+            less, more = (replace(self, value=value).size(seen) for value in (low, high))
+            out[:, :, k] = (less - more) / (high - low)[:, k]
+        return out
+
+    def relative_sd(self, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """(2 axes, 5) one-sigmas of all sizes, relative, from what is not known of each of `value`.
+
+        These are found together and may err against each other: their squares add up to what they leave together.
+        """
+        share = _median_share(size, slopes)
+        together = np.einsum("ki,kij,kj->k", share, self.covariance, share)
+        alone = (share * self.sd) ** 2
+        return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
+
+    def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """(2,) by how much lengths' and widths' errors from bodies correlate with the error of the card's height.
+
+        What views told makes the error of a height, h - fitted, independent of fitted - card; so its covariance with
+        h - card is its own variance, and that of any other error its covariance with h - fitted. 1 where no view told.
+        None below zero: two errors that cancel in a mean would be more than is known of bodies.
+        """
+        bodies = [HEIGHT, UNDERCUT, LEAN, CORNER]
+        share = _median_share(size, slopes)[:, bodies]
+        covariance = self.covariance[:, bodies][:, :, bodies]
+        with_height = np.einsum("ki,ki->k", share, covariance[:, :, 0])
+        variance = np.einsum("ki,kij,kj->k", share, covariance, share)
+        return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
+
+    def document(self, shipped: OwnRuler) -> dict[str, Any]:
+        """As plain values, beside those that were `shipped`."""
+        return {
+            "views": self.views,
+            **{
+                name: {
+                    "card": shipped.value[:, k].tolist(),
+                    "fitted": self.value[:, k].tolist(),
+                    "sd": self.sd[:, k].tolist(),
+                }
+                for k, name in enumerate(("effective_height", "margin_px", "undercut", "lean_per_m", "corner"))
+            },
+        }
+
+
+def _median_share(size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(2 axes, 5) by what share the usual one of sizes (N, 2) is smaller for one more of each of a ruler's values, by
+    their `slopes` (N, 2, 5)."""
+    return np.nanmedian(slopes / size[..., None], axis=0)
