@@ -22,6 +22,7 @@ from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
 from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import _height_above, votes_in_model
+from orthoscale.detect.find import Effort
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.requests import EstimateRequest
@@ -158,11 +159,11 @@ def test_what_overlapping_windows_show_counts_once_and_enough_is_enough(monkeypa
     x, y = np.meshgrid(np.arange(100, 2300, 160), np.arange(100, 2300, 160))
     sheet = Sheet(squares(2400, 2400, 0.2, np.stack([x, y], -1)))
     finder = SquareFinder()
-    every = search([Sought(finder, [(sheet, 0.2)])], 0.05, exhaustive=True, cache=False)
+    every = search([Sought(finder, [(sheet, 0.2)])], 0.05, effort=Effort(exhaustive=True, cache=False, workers=1))
     assert len(every) == x.size
-    some = search([Sought(finder, [(sheet, 0.2)])], 0.05, cache=False)
+    some = search([Sought(finder, [(sheet, 0.2)])], 0.05, effort=Effort(cache=False, workers=1))
     assert ENOUGH_ANCHORS <= len(some) < x.size
-    again = search([Sought(finder, [(sheet, 0.2)])], 0.05, cache=False, workers=3)
+    again = search([Sought(finder, [(sheet, 0.2)])], 0.05, effort=Effort(cache=False, workers=3))
     assert [tuple(a.place) for a in some] == [tuple(a.place) for a in again]
 
 
@@ -403,7 +404,7 @@ def test_as_many_look_at_once_as_memory_allows(monkeypatch):
     for memory, threads in ((2**30, 3), (2**26, 1)):
         monkeypatch.setattr("orthoscale.system.budget._budget", memory)
         most[0] = 0
-        search([Sought(Slow(), [(sheet, 0.2)])], 0.05, workers=3, cache=False)
+        search([Sought(Slow(), [(sheet, 0.2)])], 0.05, effort=Effort(cache=False, workers=3))
         assert most[0] == threads
 
 

@@ -186,7 +186,7 @@ def test_anchors_are_looked_for_where_there_is_something():
     filled(picture)
     picture.reads.clear()
     assert kinds.chosen(["tennis-court"]) == [finder.kind]
-    assert search([Sought(finder, [(picture, 0.1)])], 0.05, cache=False) == []
+    assert search([Sought(finder, [(picture, 0.1)])], 0.05, effort=Effort(cache=False)) == []
     assert finder.looks >= 9, "all of the block, however little of the picture may be looked at"
     assert len(picture.reads) < 60
 

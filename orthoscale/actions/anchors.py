@@ -20,7 +20,6 @@ from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
 from ..detect.find import Effort
-from ..detect.workers import worker_count
 from ..errors import UsageError, shown
 from ..formats.points import number
 from ..formats.reading import reason
@@ -77,11 +76,7 @@ class Wanted:
         return kinds.chosen(self.choices, self.own)
 
 
-def look_for_anchors(
-    source: Source,
-    scale: Scale,
-    wanted: Wanted,
-) -> FoundAnchors:
+def look_for_anchors(source: Source, scale: Scale, wanted: Wanted) -> FoundAnchors:
     """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
     low, high = scale.interval90
     sd = float(np.log(high / low)) / (2 * Z90)
@@ -90,13 +85,7 @@ def look_for_anchors(
     return replace(anchors_at(source, scale.value, sd, wanted), without=scale)
 
 
-def anchors_at(
-    source: Source,
-    metres_per_unit: float,
-    sd: float,
-    wanted: Wanted,
-    share: float = 1.0,
-) -> FoundAnchors:
+def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted, share: float = 1.0) -> FoundAnchors:
     """The anchors in `source`, of roughly `metres_per_unit`, within twice its relative one-sigma `sd`. An orthophoto is
     searched as it is, a reconstruction in its ground pictures. share : of the usual effort."""
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
@@ -107,7 +96,7 @@ def anchors_at(
     if source.plan is not None and source.plan.claimed.aspect != 1:
         return FoundAnchors(notes=("no anchors were looked for: pixels are not square",))
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
-    finest, effort = min(gsd for _, gsd in pictures), wanted.effort
+    finest = min(gsd for _, gsd in pictures)
     sought, notes = [], []
     for kind in wanted.kinds:
         finder = kinds.finder(kind, wanted.own)
@@ -119,10 +108,7 @@ def anchors_at(
         sought,
         sd,
         wanted.country,
-        worker_count(effort.workers),
-        effort.cache,
-        effort.exhaustive,
-        effort.seed,
+        wanted.effort,
         share * MOST_PIXELS,
         ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
         None if wanted.progress is None else partial(wanted.progress, "Looking for anchors"),
@@ -136,12 +122,7 @@ def anchors_at(
     return FoundAnchors(tuple(found), tuple(votes), notes=tuple(notes))
 
 
-def at_any_scale(
-    source: Source,
-    rough: tuple[float, float] | None,
-    wanted: Wanted,
-    known: int = 0,
-) -> FoundAnchors:
+def at_any_scale(source: Source, rough: tuple[float, float] | None, wanted: Wanted, known: int = 0) -> FoundAnchors:
     """The anchors in `source`, whose scale is unknown: searched for at each of a ladder of scales.
 
     rough : metres per unit and its relative one-sigma, if there is an estimate; else all of LADDER is tried. known :

@@ -17,9 +17,10 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..detect.cache import RASTER_CODE, Kept, content_key, tile_name
 from ..detect.filled import filled, one_grey
+from ..detect.find import Effort
 from ..detect.order import visiting_order
 from ..detect.tiles import check_number, read, tiles
-from ..detect.workers import done_on_threads
+from ..detect.workers import done_on_threads, worker_count
 from ..system import budget
 
 WINDOW_SIDE = 1024  # [px that a finder sees] side of a window, where anchors are small
@@ -56,10 +57,7 @@ def search(
     sought: Sequence[Sought],
     gsd_sd: float,
     country: str = "",
-    workers: int = 1,
-    cache: bool = True,
-    exhaustive: bool = False,
-    seed: int = 0,
+    effort: Effort | None = None,
     most_pixels: float = MOST_PIXELS,
     enough: int = ENOUGH_ANCHORS,
     progress: Callable[[int, int], None] | None = None,
@@ -67,20 +65,22 @@ def search(
     """The anchors in pictures whose ground sampling distances are known to a relative one-sigma of `gsd_sd`, each once
     in each picture [px of the picture].
 
-    Unless the search is `exhaustive`, a kind that was found `enough` times, or looked for in `most_pixels`, is looked
-    for no more; where depends on nothing but the pictures, the scale and the `seed`.
+    Unless the `effort` is exhaustive, a kind that was found `enough` times, or looked for in `most_pixels`, is looked
+    for no more; where depends on nothing but the pictures, the scale and the effort's seed.
     `progress(done, total)` counts windows, the total being the most there may be.
     """
-    parts = [_KindSearch(one, gsd_sd, country, np.inf if exhaustive else most_pixels, enough, seed) for one in sought]
+    effort = effort or Effort()
+    workers = worker_count(effort.workers)
+    parts = [_KindSearch(one, gsd_sd, country, effort, most_pixels, enough) for one in sought]
     with ExitStack() as open_things:
         for part in parts:
-            part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
+            part.cache = open_things.enter_context(AnchorCache(key)) if effort.cache and (key := part.key()) else None
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
             batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only so
             work: dict[int, dict[int, Callable[[], list[Anchor]]]] = {}  # by how many fit into memory at once
             for k, (part, number) in enumerate(batch):
-                if not part.had(number):
+                if not part.recalled(number):
                     work.setdefault(_at_once(part.jobs[number][1], workers), {})[k] = part.work(number)
             for at_once, some in work.items():
                 for k, found in done_on_threads(some, at_once):
@@ -100,9 +100,11 @@ def _at_once(window: Tile, workers: int) -> int:
 class _KindSearch:
     """The search of one kind: its windows in the order in which they are looked at, and what was found."""
 
-    def __init__(self, sought: Sought, gsd_sd: float, country: str, most_pixels: float, enough: int, seed: int):
-        self.finder, self.gsd_sd, self.country, self.most_pixels = sought.finder, gsd_sd, country, most_pixels
-        self.exhaustive, self.enough = not np.isfinite(most_pixels), enough
+    def __init__(
+        self, sought: Sought, gsd_sd: float, country: str, effort: Effort, most_pixels: float, enough: int
+    ) -> None:
+        self.finder, self.gsd_sd, self.country = sought.finder, gsd_sd, country
+        self.exhaustive, self.most_pixels, self.enough = effort.exhaustive, most_pixels, enough
         self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
         self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
         windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
@@ -110,9 +112,9 @@ class _KindSearch:
             windows = [(picture, tile) for picture, tile in windows if filled(picture).share(tile)]
         order = range(len(windows))
         if len(self.pictures) == 1 and not self.exhaustive:
-            order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), seed).tolist()
+            order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), effort.seed).tolist()
         elif not self.exhaustive:
-            order = np.random.default_rng(seed).permutation(len(windows)).tolist()
+            order = np.random.default_rng(effort.seed).permutation(len(windows)).tolist()
         self.jobs = [windows[k] for k in order]
         self.looks: dict[int, list[Anchor]] = {}
         self.cache: AnchorCache | None = None
@@ -138,8 +140,8 @@ class _KindSearch:
         picture, tile = self.jobs[number]
         return picture.name, tile.y, tile.x
 
-    def had(self, number: int) -> bool:
-        """Whether window `number` was looked at in another run."""
+    def recalled(self, number: int) -> bool:
+        """Keep what window `number` showed in another run, and say whether that is known."""
         found = self.cache.get(*self.jobs[number]) if self.cache else None
         if found is not None:
             self.looks[number] = found
