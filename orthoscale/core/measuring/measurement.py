@@ -50,12 +50,12 @@ class Pooled:
 
     ruler : the part that the votes still contain. systematic : errors common to all sizes, from the source's geometry.
     noise : (N, 2) one-sigmas of the votes, as shares of their vehicles' sizes (`Measurement.size`). more : evidence on
-    the scale in the boxes themselves.
+    the scale in the boxes themselves. By default that of no votes.
     """
 
-    ruler: Ruler
-    systematic: Systematic
-    noise: np.ndarray
+    ruler: Ruler = Ruler()
+    systematic: Systematic = Systematic()
+    noise: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     more: Sequence[AnchorVote] = ()
 
 
@@ -66,7 +66,7 @@ class Measurement:
     boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
     became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
     projection : how they were seen. found : what they tell besides the scale.
-    pooled : what with, where there were vehicles.
+    pooled : what with.
     modes : by name, each way in which a posed set was measured; empty for other sources.
     agreement : of two ways, where there were two. notes : what could not be done.
     """
@@ -79,7 +79,7 @@ class Measurement:
     size: np.ndarray
     projection: str
     found: Findings = field(default_factory=Findings)
-    pooled: Pooled | None = None
+    pooled: Pooled = field(default_factory=Pooled)
     modes: Mapping[str, Measurement] = field(default_factory=dict)
     agreement: Agreement | None = None
     notes: tuple[str, ...] = ()

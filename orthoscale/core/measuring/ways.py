@@ -111,7 +111,7 @@ def _answer(
         agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
     answer = modes[name] if (name := alone(agreement)) is not None else first
     scale = together(agreement)
-    if name is None and all(m.pooled is not None for m in modes.values()):
+    if name is None:
         with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
             scale = _by_vehicles(source, found, modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
@@ -126,8 +126,7 @@ def _by_vehicles(
     votes, ruler, covariance = united(*modes.values())
     in_frames = shown_in_frames(source, found, first.boxes, votes.place)
     votes = replace(votes, shown=in_frames if votes.shown is None else np.maximum(votes.shown, in_frames))
-    seen = (m.pooled.more for m in modes.values() if m.pooled is not None and m.pooled.more)
-    more = next(seen, ())  # both see the same rows of vehicles
+    more = next((m.pooled.more for m in modes.values() if m.pooled.more), ())  # both see the same rows of vehicles
     scale = method.pool(votes, fleet, ruler, first.scale.unit, covariance, more)
     checks = {**scale.checks, **{name: m.scale.value for name, m in modes.items()}}
     return replace(scale, used=first.scale.used, reasons=first.scale.reasons, checks=checks)
@@ -149,12 +148,10 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     uncertainty is the weighted mean of both, as if it were common to them, which of two networks' it is only in part;
     that of the geometry is common in part.
     """
-    known_a, known_b = a.pooled, b.pooled
-    assert known_a is not None and known_b is not None, "asked before"
     ia, ib = _matched(a, b, np.arange(len(a.votes)), np.arange(len(b.votes)))
-    share = _shares(known_a, known_b, ia, ib)
+    share = _shares(a.pooled, b.pooled, ia, ib)
     weight = _weights(a, b, ia, ib, share)
-    systematic = known_a.systematic.mean(known_b.systematic, weight[1])
+    systematic = a.pooled.systematic.mean(b.pooled.systematic, weight[1])
     return _joined_votes(a, b, ia, ib, share), _joined_ruler(a, b, weight), systematic.covariance
 
 
@@ -164,15 +161,13 @@ def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray
     ia, ib : (K,) indices of the votes of both that are one vehicle. Its size is the mean of the two, in which `a` has
     `share` (K, 2). Both modes use the same pixels, so its noise is the mean of their noises, and so are its kinds.
     """
-    known_a, known_b = a.pooled, b.pooled
-    assert known_a is not None and known_b is not None, "asked before"
     rest = np.setdiff1d(np.arange(len(b.votes)), ib)
-    size, noise, views = a.size.copy(), known_a.noise.copy(), a.votes.views.copy()
+    size, noise, views = a.size.copy(), a.pooled.noise.copy(), a.votes.views.copy()
     size[ia] = np.exp(share * np.log(a.size[ia]) + (1 - share) * np.log(b.size[ib]))
-    noise[ia] = share * known_a.noise[ia] + (1 - share) * known_b.noise[ib]
+    noise[ia] = share * a.pooled.noise[ia] + (1 - share) * b.pooled.noise[ib]
     views[ia] = np.maximum(views[ia], b.votes.views[ib])
     views = np.concatenate([views, b.votes.views[rest]])
-    noise = np.concatenate([noise, known_b.noise[rest]])
+    noise = np.concatenate([noise, b.pooled.noise[rest]])
     shown = None
     if a.votes.shown is not None and b.votes.shown is not None:
         shown = a.votes.shown.copy()
@@ -197,7 +192,7 @@ def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray
 def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
     """The ruler of the vehicles of both modes, whose `weight` (2 modes, 2) is that of `_weights`. The margins are
     removed already: their uncertainty is a bias."""
-    rulers = [way.pooled.ruler for way in (a, b) if way.pooled is not None]
+    rulers = a.pooled.ruler, b.pooled.ruler
     bias = [
         np.hypot(ruler.bias_sd, np.asarray(ruler.margin_sd) * np.median(way.votes.pixel[:, None] / way.size, axis=0))
         for ruler, way in zip(rulers, (a, b), strict=True)
@@ -242,7 +237,7 @@ def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, sha
 
 def _kinds(of: Measurement) -> np.ndarray:
     """(N, 4) kinds of its votes, NaN where they are not used."""
-    if of.votes.kinds is None or of.pooled is None or not of.pooled.ruler.kinds:
+    if of.votes.kinds is None or not of.pooled.ruler.kinds:
         return np.full((len(of.votes), len(KINDS)), np.nan)
     return of.votes.kinds.copy()
 
