@@ -1,22 +1,20 @@
 """Every option that a user can give, defined once: its default, choices, help, and the options that it excludes.
 
-The command line generates its options from these fields; `estimate` and `fix` take them as keywords. A request is
-validated when it is created: an unknown option, or one that would have no effect, is refused and never ignored.
+A request is validated when it is created: an unknown option, or one that would have no effect, is refused and never
+ignored.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-import numbers
 import shlex
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from .anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from .errors import UsageError, shown
+from .errors import UsageError
+from .option import checked, flag, names_file, nearest, option
 
 if TYPE_CHECKING:
     from typing import Self
@@ -26,38 +24,12 @@ if TYPE_CHECKING:
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
 ESTIMATORS = ("robust", "iqr")
-GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 KINDS_OF_DEPTH = ("z", "range")
 BUILT_IN, NOTHING = "built-in", "none"  # what options that take a file take instead
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
-
-
-@dataclass(frozen=True)
-class Option:
-    """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
-
-    choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
-    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at least 0.
-    is_file : whether a text names a file; a Path always does.
-    """
-
-    kind: type
-    help: str
-    group: str
-    choices: tuple[str, ...] = ()
-    flag: str = ""
-    metavar: str | None = None
-    positive: bool = False
-    not_negative: bool = False
-    is_file: Callable[[str], bool] = lambda text: False
-
-
-def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
-    """A field of a request."""
-    return field(default=default, metadata={"option": Option(kind, help, group, **more)})
 
 
 def _is_json(text: str) -> bool:
@@ -68,20 +40,13 @@ def _is_no_word(text: str) -> bool:
     return text not in (BUILT_IN, NOTHING)
 
 
-def flag(of: Field) -> str:
-    """What the command line, and every error, calls the field `of` a request: a switch by what turns it from its
-    default, such as --no-cache."""
-    named: str = of.metadata["option"].flag
-    return named or "--" + of.name.replace("_", "-")
-
-
 def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> str:
     """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults, after the way
     to the `folder` that its relative names start from."""
     words = ["orthoscale", "estimate", path]
     for each in fields(EstimateRequest):
         value = settings.get(each.name)
-        if value is None or value == each.default or value == []:
+        if value is None or value == each.default:
             continue
         if isinstance(value, bool):
             words.append(flag(each))
@@ -141,8 +106,7 @@ class VehicleRequest:
     def __post_init__(self) -> None:
         """Raises UsageError for values of the wrong kind and for options that exclude each other."""
         for each in fields(self):
-            if (about := each.metadata.get("option")) is not None:
-                object.__setattr__(self, each.name, _checked(each, about, getattr(self, each.name)))
+            object.__setattr__(self, each.name, checked(each, getattr(self, each.name)))
         if self.zoom is not None and self.gsd_hint is not None:
             raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
@@ -155,7 +119,7 @@ class VehicleRequest:
         for each in fields(self):
             value = getattr(self, each.name)
             for one in value if isinstance(value, tuple) else (value,):
-                if _names_file(each, one):
+                if names_file(each, one):
                     found.append(Path(one))
         return found
 
@@ -165,7 +129,7 @@ class VehicleRequest:
         def absolute(of: Field, value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(absolute(of, one) for one in value)
-            return str(Path(value).absolute()) if _names_file(of, value) else value
+            return str(Path(value).absolute()) if names_file(of, value) else value
 
         return replace(self, **{each.name: absolute(each, getattr(self, each.name)) for each in fields(self)})
 
@@ -186,7 +150,7 @@ class VehicleRequest:
         known = [each.name for each in fields(cls)]
         for name in keywords:
             if name not in known:
-                raise UsageError(f"no option is called {name!r}", _nearest(name, known))
+                raise UsageError(f"no option is called {name!r}", nearest(name, known))
         return cls(**keywords)
 
     def refuse_others(self, names: Collection[str], why: str) -> None:
@@ -543,67 +507,3 @@ class FixOptions(EstimateOptions, total=False):
     force: bool
     dense: bool
     report: str
-
-
-def _names_file(of: Field, value: Any) -> bool:
-    about: Option = of.metadata["option"]
-    return value is not None and (about.kind is Path or about.is_file(str(value)))
-
-
-_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called
-    Path: ((str, Path), "a path"),
-    str: ((str, Path), "a text"),
-    float: ((int, float), "a number"),
-    int: ((int,), "a whole number"),
-    bool: ((bool,), "True or False"),
-}
-
-
-def _checked(of: Field, about: Option, value: Any) -> Any:
-    """`value` for the field `of`, lists as tuples. Raises UsageError."""
-    if value is None and of.default is None:
-        return None
-    if not isinstance(of.default, tuple):
-        return _check(flag(of), about, value)
-    return tuple(_check(flag(of), about, each) for each in listed(flag(of), value))
-
-
-def listed(name: str, value: Any) -> Sequence[Any]:
-    """`value` of the option `name`, which takes several. Raises UsageError for a text, which is one."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
-        raise UsageError(f"{name} takes a list of values, not {shown(repr(value))}")
-    return value
-
-
-def number(name: str, value: Any, kind: type = float) -> Any:
-    """`value` of the option `name` as one of Python's own numbers, for one of numpy's, too; whole ones stay whole.
-
-    kind : float, or int where it must be whole. Raises UsageError for what is none.
-    """
-    if not isinstance(value, bool):
-        if isinstance(value, numbers.Integral):
-            return int(value)
-        if kind is float and isinstance(value, numbers.Real):
-            return float(value)
-    raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {shown(repr(value))}")
-
-
-def _check(name: str, about: Option, value: Any) -> Any:
-    wanted, called = _KINDS[about.kind]
-    if about.kind in (float, int):
-        value = number(name, value, about.kind)
-    elif not isinstance(value, wanted):
-        raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
-    if about.choices and value not in about.choices:
-        raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
-    if about.positive and not (math.isfinite(value) and value > 0):
-        raise UsageError(f"{name} must be a positive number, not {value}")
-    if about.not_negative and value < 0:
-        raise UsageError(f"{name} must be 0 or more, not {value}")
-    return value
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    """A sentence that says what `name` may have meant, or ''."""
-    near = difflib.get_close_matches(str(name), list(known), 1)
-    return f"Did you mean {near[0]!r}?" if near else ""

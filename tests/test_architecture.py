@@ -24,18 +24,19 @@ MAY_IMPORT = {
     "registrations": "core errors formats",
     "detect": "core errors formats system",
     "anchors": "core detect formats system",
-    "requests": "anchors core errors",
+    "option": "errors",
+    "requests": "anchors core errors option",
     "sources": "core countries errors fleets formats system",
-    "photos": "core detect errors formats requests sources system",
+    "photos": "core detect errors formats option requests sources system",
     "locate": "core detect errors formats photos sources",
     "report": "core detect errors formats requests sources system version",
-    "actions": "anchors core detect errors fleets formats locate photos report requests sources system",
+    "actions": "anchors core detect errors fleets formats locate option photos report requests sources system",
     "": "actions core errors fleets formats photos report system version",  # the package: its public names
     "layout": "core errors formats sources version",
     "evaluate": "actions core errors formats locate photos sources system version",
     "synthetic": "core errors evaluate fleets formats sources system",
-    "cli": "actions core errors evaluate fleets formats layout locate photos registrations report requests sources "
-    "system version",
+    "cli": "actions core errors evaluate fleets formats layout locate option photos registrations report requests "
+    "sources system version",
     "rio": "cli errors",
     "__main__": "cli system",
 }

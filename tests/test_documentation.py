@@ -17,8 +17,8 @@ from support.reports import car_park
 
 import orthoscale
 from orthoscale.cli.main import COMMANDS, cli
+from orthoscale.option import GROUPS
 from orthoscale.report.schema import report_schema
-from orthoscale.requests import GROUPS
 
 ROOT = Path(__file__).parent.parent
 PAGES = [

@@ -20,8 +20,9 @@ from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.cli.photo_options import LENS_FLAGS
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import TooLittleEvidence, UsageError
+from orthoscale.option import flag
 from orthoscale.report.extras import WRITERS
-from orthoscale.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
+from orthoscale.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest
 
 TOWN = Path(__file__).parents[1] / "examples" / "town" / "ortho.jpg"
 

@@ -25,7 +25,7 @@ from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
-from ..requests import listed, number
+from ..option import listed, number
 from ..system.paths import path_of
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all

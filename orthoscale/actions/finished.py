@@ -11,9 +11,10 @@ from typing import Any
 
 from ..core.source import Source
 from ..errors import InputError, UsageError
+from ..option import flag
 from ..report.document import completed, read_json
 from ..report.extras import chosen
-from ..requests import EstimateRequest, FixRequest, flag
+from ..requests import EstimateRequest, FixRequest
 from .estimate import source_of
 from .fix import report_paths
 

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from ..errors import UsageError, shown
-from ..requests import GROUPS, Option, flag
+from ..option import GROUPS, Option, flag
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);

@@ -15,7 +15,7 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.robust import MIN_VEHICLES
 from ..errors import InputError, TooLittleEvidence, UsageError
-from ..requests import number
+from ..option import number
 from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .looking import Looking, boxes_of

@@ -1,0 +1,116 @@
+"""What an option is, and how the value that a user gives it is checked: options are the fields of requests.
+
+The command line makes its options of them, Python its keywords; messages call both by the command line's name.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import numbers
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import Field, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .errors import UsageError, shown
+
+GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
+
+
+@dataclass(frozen=True)
+class Option:
+    """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
+
+    choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
+    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at least 0.
+    is_file : whether a text names a file; a Path always does.
+    """
+
+    kind: type
+    help: str
+    group: str
+    choices: tuple[str, ...] = ()
+    flag: str = ""
+    metavar: str | None = None
+    positive: bool = False
+    not_negative: bool = False
+    is_file: Callable[[str], bool] = lambda text: False
+
+
+def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
+    """A field of a request."""
+    return field(default=default, metadata={"option": Option(kind, help, group, **more)})
+
+
+def flag(of: Field) -> str:
+    """What the command line, and every error, calls the field `of` a request: a switch by what turns it from its
+    default, such as --no-cache."""
+    named: str = of.metadata["option"].flag
+    return named or "--" + of.name.replace("_", "-")
+
+
+def names_file(of: Field, value: Any) -> bool:
+    """Whether `value` of the field `of` a request is the name of a file or folder."""
+    about: Option = of.metadata["option"]
+    return value is not None and (about.kind is Path or about.is_file(str(value)))
+
+
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called
+    Path: ((str, Path), "a path"),
+    str: ((str, Path), "a text"),
+    float: ((int, float), "a number"),
+    int: ((int,), "a whole number"),
+    bool: ((bool,), "True or False"),
+}
+
+
+def checked(of: Field, value: Any) -> Any:
+    """`value` for the field `of` a request, lists as tuples. Raises UsageError for one that it cannot have."""
+    about: Option = of.metadata["option"]
+    if value is None and of.default is None:
+        return None
+    if not isinstance(of.default, tuple):
+        return _check(flag(of), about, value)
+    return tuple(_check(flag(of), about, each) for each in listed(flag(of), value))
+
+
+def listed(name: str, value: Any) -> Sequence[Any]:
+    """`value` of the option `name`, which takes several. Raises UsageError for a text, which is one."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
+        raise UsageError(f"{name} takes a list of values, not {shown(repr(value))}")
+    return value
+
+
+def number(name: str, value: Any, kind: type = float) -> Any:
+    """`value` of the option `name` as one of Python's own numbers, for one of numpy's, too; whole ones stay whole.
+
+    kind : float, or int where it must be whole. Raises UsageError for what is none.
+    """
+    if not isinstance(value, bool):
+        if isinstance(value, numbers.Integral):
+            return int(value)
+        if kind is float and isinstance(value, numbers.Real):
+            return float(value)
+    raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {shown(repr(value))}")
+
+
+def _check(name: str, about: Option, value: Any) -> Any:
+    wanted, called = _KINDS[about.kind]
+    if about.kind in (float, int):
+        value = number(name, value, about.kind)
+    elif not isinstance(value, wanted):
+        raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
+    if about.choices and value not in about.choices:
+        raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", nearest(value, about.choices))
+    if about.positive and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be a positive number, not {value}")
+    if about.not_negative and value < 0:
+        raise UsageError(f"{name} must be 0 or more, not {value}")
+    return value
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A sentence that says what `name` may have meant, or ''."""
+    near = difflib.get_close_matches(str(name), list(known), 1)
+    return f"Did you mean {near[0]!r}?" if near else ""
