@@ -25,9 +25,10 @@ from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.schemas.report import Report
-from orthoscale.report import files, pictures, places, wording
+from orthoscale.report import charts, files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json
+from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
 from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
@@ -318,6 +319,18 @@ def test_the_frames_and_places_of_a_model_are_drawn(model):
     assert here.deviation == pytest.approx(np.log(14.7 / report["scale"]))
     text = page(report, ReportPictures())
     assert text.count('fill-opacity="') == 2 and ">DJI_1.jpg</text>" in text
+
+
+def test_page_and_picture_give_a_region_the_same_figures(monkeypatch):
+    written = []
+    monkeypatch.setattr("orthoscale.report.drift_map.write_on", lambda image, place, text, *how: written.append(text))
+    corners = [{"centre_unit": [9 * k, 3 * k], "scale": 12.0 + 4 * k, "sd": 0.3, "vehicles": 9} for k in (0, 1)]
+    report = {"scale": 14.0, "drift": {"regions": corners}}
+    regions_panel(report["drift"], report["scale"], 600)
+    chart = str(charts.place_map(np.zeros((1, 2)), places.regions(report), ""))
+    for larger, half in (("-14.3", "3.5"), ("+14.3", "3.5")):
+        assert f"{larger} +- {half}" in written
+        assert f">{larger.replace('-', '−')}<" in chart and f">± {half}<" in chart
 
 
 def test_what_the_views_said_of_the_ruler_is_told(model):

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from ..core.pooling.posterior import Z90
 from ..core.remarks import signed
 from ..core.round_numbers import round_above, round_below
-from .places import LocalFrameScale, LocalRegionScale
+from .places import LocalFrameScale, LocalRegionScale, in_percent
 
 CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
 LETTER = 6.8  # width of one, about
@@ -143,8 +143,9 @@ def place_map(vehicles: np.ndarray, regions: Sequence[LocalRegionScale], label: 
         parts.append(_tag("circle", cx=x, cy=y, r=2, class_="dot"))
     for region in regions:
         x, y = px(region.x, region.y)
-        parts.append(_text(x, y - 2, f"{100 * region.deviation:+.1f}".replace("-", "−"), class_="strong halo"))
-        parts.append(_text(x, y + 12, f"± {100 * Z90 * region.sd:.1f}", class_="halo"))
+        larger, half = in_percent(region.deviation, region.sd)
+        parts.append(_text(x, y - 2, f"{larger:+.1f}".replace("-", "−"), class_="strong halo"))
+        parts.append(_text(x, y + 12, f"± {half:.1f}", class_="halo"))
     return _svg(height, parts, label)
 
 
@@ -155,11 +156,14 @@ def strength(deviation: float, sd: float) -> float:
 
 def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
     """One mark for each frame, in their order, with its 90 % interval; odd ones stand out."""
-    reach = min(max(1.05 * max(abs(row.deviation) for row in rows), 0.04), 0.5)
+    reach = min(max(1.05 * max(abs(np.expm1(row.deviation)) for row in rows), 0.04), 0.5)
     left, right, top, height = 46.0, CHART_WIDTH - 4.0, 6.0, 120.0
 
     def py(value: float) -> float:
         return top + height / 2 - min(max(value, -reach), reach) / reach * height / 2
+
+    def py_of_log(value: float) -> float:
+        return py(float(np.expm1(value)))
 
     parts = []
     for value in _ticks(reach):
@@ -167,9 +171,9 @@ def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
         parts.append(_text(left - 4, py(value) + 4, _tick(value), anchor="end"))
     for k, row in enumerate(rows):
         x = left + (k + 0.5) / len(rows) * (right - left)
-        y0, y1 = (py(row.deviation + side * Z90 * row.sd) for side in (1, -1))
+        y0, y1 = (py_of_log(row.deviation + side * Z90 * row.sd) for side in (1, -1))
         parts.append(_tag("line", x1=x, y1=y0, x2=x, y2=y1, class_="interval thin"))
-        parts.append(_tag("circle", cx=x, cy=py(row.deviation), r=2.5, class_="rejected" if row.odd else "used"))
+        parts.append(_tag("circle", cx=x, cy=py_of_log(row.deviation), r=2.5, class_="rejected" if row.odd else "used"))
     parts.append(_text(left, top + height + 16, rows[0].name, anchor="start"))
     if len(rows) > 1:
         parts.append(_text(right, top + height + 16, rows[-1].name, anchor="end"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import log
 from typing import Any
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 from ..core.pooling.posterior import Z90
 from .charts import strength
 from .lettering import BLACK, WHITE, text_width, write_on
+from .places import in_percent
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
@@ -34,7 +36,7 @@ def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarr
     panel = np.full((corners[:, 1].max() + square + TITLE, side, 3), 255, np.uint8)
     _entitle(panel, drift)
     for region, corner in zip(regions, corners + (0, TITLE), strict=True):
-        deviation, sd = region["scale"] / scale - 1, region["sd"] / scale
+        deviation, sd = log(region["scale"] / scale), region["sd"] / region["scale"]
         cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), _colour(deviation, sd), -1)
         _label(panel, corner + square / 2, _figures(deviation, sd, region["vehicles"]), letters)
     return panel
@@ -91,15 +93,15 @@ def _entitle(panel: np.ndarray, drift: Mapping[str, Any], more: str = "") -> Non
 
 
 def _colour(deviation: float, sd: float) -> list[float]:
-    """RGB of a cell whose scale is off by `deviation`, relative, with one sigma `sd`."""
+    """RGB of a cell whose scale is off by `deviation` (log), with one sigma `sd`."""
     full = LARGER_RGB if deviation > 0 else SMALLER_RGB
     return (NEUTRAL_RGB + strength(deviation, sd) * (full - NEUTRAL_RGB)).tolist()
 
 
 def _figures(deviation: float, sd: float, count: float) -> tuple[str, str]:
     """The two lines on a cell."""
-    vehicles = f"{int(count)} vehicle{'' if count == 1 else 's'}"
-    return f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles
+    larger, half = in_percent(deviation, sd)
+    return f"{larger:+.1f} +- {half:.1f}", f"{int(count)} vehicle{'' if count == 1 else 's'}"
 
 
 def _label(panel: np.ndarray, middle: np.ndarray, lines: tuple[str, str], size: int) -> None:

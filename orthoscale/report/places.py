@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import log
+from math import exp, expm1, log
 from typing import Any
 
+from ..core.pooling.posterior import Z90
 from .document import pixel_size
 
 
@@ -31,6 +32,12 @@ class LocalFrameScale:
     deviation: float
     sd: float
     odd: bool
+
+
+def in_percent(deviation: float, sd: float) -> tuple[float, float]:
+    """A `deviation` (log) with one sigma `sd`: by how many per cent the scale is larger, and half of the width of the
+    90 % interval of that [%]. Every output gives these figures."""
+    return 100 * expm1(deviation), 100 * Z90 * sd * exp(deviation)
 
 
 def regions(report: Mapping[str, Any]) -> list[LocalRegionScale]:
