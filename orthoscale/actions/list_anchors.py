@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..anchors.kinds import NO_KIND
 from ..core.measuring.anchors import FoundAnchors
 from ..core.progress import Progress
 from ..core.scale import Scale
@@ -98,7 +99,7 @@ def list_anchors(
     if scale is None:
         if request.vehicles_only:
             raise UsageError("--estimator iqr is the paper's, for vehicles only", "Remove --estimator.")
-        result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
+        result = measured(path, replace(request, anchors=(NO_KIND,), anchor=()), progress)
         country = result.method.country
         footing = footing_of(result.source, result.detections, result.fleet)
         wanted = Wanted(request.anchors, own, country, effort, progress, footing)

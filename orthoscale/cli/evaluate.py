@@ -140,8 +140,10 @@ def evaluate(
             text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
             shown = report.tables(text, outputs)
         else:
+            from ..evaluate.locating import table
+
             text = _located(path, samples, found, ruler, satellite, method, scale_errors, notes, progress)
-            shown = "\n".join([_table(text), *(f"written    {output}" for output in outputs)])
+            shown = "\n".join([table(text), *(f"written    {output}" for output in outputs)])
         for partial in partials:
             report.write(text, partial)
     click.echo(json_in_utf8(text)) if as_json else say(shown)
@@ -181,9 +183,3 @@ def _located(
     known, more = placed(path, samples)
     sky = Satellite.open(satellite)
     return locating.document(known, found, ruler, sky, request, wrong, [*notes, *more], progress)
-
-
-def _table(text: dict[str, Any]) -> str:
-    from ..evaluate.locating import table
-
-    return table(text)

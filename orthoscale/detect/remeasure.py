@@ -74,7 +74,7 @@ def remeasured(
         return found  # nothing that was found is at hand
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
     enlarged = enlargement(by_name, proposed)
-    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "tells": "lightness"}
+    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged)}
     key = content_key([by_name[name] for name in chosen], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None

@@ -66,7 +66,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
         places=_places(report),
         frames=_frames(report),
         uncertainty=explain(report),
-        fleets=_fleets(report),
+        fleets=wording.likely_fleets(report["fleets"]),
         command=command_line(report["input"]["path"], report["settings"], report["input"]["folder"]),
     )
 
@@ -158,15 +158,6 @@ def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
     vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
     return f"{values[0]} {unit}{interval}{vehicles}"
-
-
-def _fleets(report: Mapping[str, Any]) -> str:
-    """The likeliest fleets, where they were to be found."""
-    fleets = report["fleets"]
-    if len(fleets) < 2:
-        return ""
-    likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
-    return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
 
 
 def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:

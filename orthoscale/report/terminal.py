@@ -15,7 +15,7 @@ from ..core.pooling.posterior import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
 from .result import Result
-from .wording import counted, counted_kinds
+from .wording import counted, counted_kinds, likely_fleets
 
 VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
@@ -60,7 +60,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("vehicles", f"{scale.vehicles_used} used{seen}{': ' if kinds else ''}{kinds}"),
         ("rejected", counted(rejected) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
-        *_fleets(scale.fleets),
+        *([("likely", likely)] if (likely := likely_fleets(scale.fleets)) else []),
         *([("checks", "scale from " + ", ".join(checks))] if scale.checks else []),
         ("uncertain", ", ".join(parts) + " (1 sigma each)"),
         (
@@ -85,11 +85,3 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     table += [(remark.label, remark.text) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
     return [(label, shown(value, LONGEST_MESSAGE)) for label, value in table]
-
-
-def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:
-    """The likeliest fleets, where more than one was possible."""
-    if len(fleets) < 2:
-        return []
-    likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
-    return [("likely", ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely))]

@@ -11,6 +11,8 @@ from ..core.remarks import signed
 from ..core.scale import decimals, interval_about
 from .document import of_plan
 
+FLEETS_NAMED = 5  # of those that are likely
+
 
 def counted(numbers: Mapping[str, int]) -> str:
     """How many there are of each thing: "6 low confidence, 2 too large for a car"; '' of nothing."""
@@ -23,6 +25,12 @@ def counted_kinds(kinds: Iterable[str]) -> str:
     number = Counter(kinds)
     told = {f"{k}{'' if k == 'larger' or number[k] == 1 else 's'}": number[k] for k in KINDS if number[k]}
     return counted(told | ({"not looked at": number[""]} if number[""] else {})) if told else ""
+
+
+def likely_fleets(fleets: Mapping[str, float]) -> str:
+    """The likeliest of `fleets`, probabilities by code; '' where there was no choice."""
+    likely = sorted(fleets.items(), key=lambda item: -item[1])[:FLEETS_NAMED] if len(fleets) > 1 else []
+    return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
 
 
 def half_width(report: Mapping[str, Any]) -> float:
