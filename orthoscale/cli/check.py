@@ -143,7 +143,9 @@ def _against_model(
     from ..actions.cross_check import check_against_model, plan_and_posed
     from ..actions.rehearsal import rehearsal
 
-    not_of_model = (*OF_ORTHOPHOTO, *((*request.of_detector, "measurer") if model_detections is not None else ()))
+    not_of_model = {*OF_ORTHOPHOTO, *(request.of_detector if model_detections is not None else ())}
+    if model_detections is not None or request.wanted_mode == "oblique":
+        not_of_model.add("measurer")
     of_ortho, of_model = request.without(OF_MODEL), request.without(not_of_model, detections=model_detections)
     with progress_bars() as progress:
         plan = pipeline.source_of(path, of_ortho, of_ortho.needs_pictures)
