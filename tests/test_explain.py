@@ -86,6 +86,11 @@ def test_what_drifts_is_not_mended_by_a_known_distance():
     assert left == pytest.approx(np.hypot(0.04, 0.01) / 2, rel=0.03)
 
 
+def test_vehicles_of_one_size_leave_the_papers_estimator_nothing_to_explain():
+    found = explain({**REPORT, "uncertainty": {"sampling": 0.0}})
+    assert found["relative_sd"] == 0 and not found["parts"] and "all of one size" in in_words(found)
+
+
 @pytest.mark.parametrize("report", [{}, [], {**REPORT, "uncertainty": {}}, {**REPORT, "uncertainty": {"fleet": "x"}},
                                     {**REPORT, "scale": None}])  # fmt: skip
 def test_what_is_no_report_is_refused(report):

@@ -67,11 +67,13 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: f
     """From the `parts` of a scale's uncertainty (relative one-sigmas), its vehicles, and the code of its fleet.
 
     pixel : of a picture in which distances are read [m]; 0 where they are told in coordinates.
-    Raises ValueError where nothing is uncertain.
+    Raises ValueError where nothing is told of it.
     """
     variance = float(sum(sd**2 for sd in parts.values()))
-    if not (np.isfinite(variance) and variance > 0):
+    if not (parts and np.isfinite(variance)):
         raise ValueError("there is no uncertainty to explain")
+    if not variance:  # by the paper's estimator, which knows nothing but the scatter of the vehicles
+        return Explanation(0.0, (), (), "The vehicles are all of one size, and nothing else is taken for uncertain.")
     share = {name: sd**2 / variance for name, sd in parts.items()}
     named = tuple(
         Part(name, parts[name], share[name], MEANINGS.get(name, OF_AN_ANCHOR))

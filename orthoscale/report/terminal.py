@@ -62,7 +62,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
         *([("likely", likely)] if (likely := likely_fleets(scale.fleets)) else []),
         *([("checks", "scale from " + ", ".join(checks))] if scale.checks else []),
-        ("uncertain", ", ".join(parts) + " (1 sigma each)"),
+        ("uncertain", (", ".join(parts) or "nothing") + " (1 sigma each)"),
         (
             "detector",
             f"{result.detections.detector}, resampling factor {result.detections.zoom:.2f}, {result.seconds:.1f} s",
