@@ -1,0 +1,263 @@
+r"""By how much readers and the measurer read a vehicle smaller once its picture is small, sharpened and compressed.
+
+    python -m training.measurer.reduced sheets --data ../shared/data --beside banepa --out runs/reduced
+    python -m training.by_hand draw runs/reduced ANSWERS.json          # as any sheets, see training/by_hand.py
+    python -m training.measurer.reduced keep runs/reduced ANSWERS.json --reader e --data ../shared/data
+    python -m training.measurer.reduced told --measurer M.onnx --data ../shared/data --readers e g
+    python -m training.measurer.reduced small --measurer M.onnx --data ../shared/data
+
+Where vehicles are small, no one knows where their edges are; where they are large, several readers agree to 1 %. So
+vehicles that were read large are read by another reader, some as they are, some made as small as those of a place in
+doubt, among vehicles of that place itself. What he reads otherwise than the readers before is his habit, and none of
+the measurer's. `keep` writes labels/read_again_X.json (what was read as it is) and labels/read_reduced_X.json.
+
+`small`: by how many pixels the measurer tells vehicles larger where they are small, in pictures made in several ways.
+That is the card's margin, but for what it tells large ones too large (`training.measurer.evaluate rendered`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.detect.measurer import Measurer
+from training.by_hand import BY_HAND, Cell, _to_cell, measured, read_answers, store, write_sheets
+from training.data import as_stored
+from training.evaluate import measured_scenes, middle
+
+from .chain import jpeg, sharpen
+from .evaluate import trusted
+
+SMALL = (22.0, 34.0)  # lengths of the reduced vehicles [px], as those of the cars of `banepa`
+LARGE = 44.0  # lengths of those that are reduced, at least [px]
+LENGTHS = (13, 16, 20, 28)  # of vehicles in `small` [px]
+SHARP = ("brighton", "chongqing", "kampala", "manila", "tianjin", "weedon")  # test places of large vehicles
+AROUND = 3.0  # of a vehicle's window from its centre, either way, in its lengths
+SOURCES = "sources.json"  # in the sheets' folder: where each reduced picture is from
+
+
+Way = Callable[[np.ndarray], np.ndarray]  # what becomes of a picture (H, W, 3), light 0..1, once it is reduced
+
+
+def _blurred(sigma: float) -> Way:
+    return lambda x: cv2.GaussianBlur(x, (0, 0), sigma)
+
+
+def _sharpened(soft: float, amount: float, radius: float, quality: int) -> Way:
+    return lambda x: jpeg(np.clip(sharpen(_blurred(soft)(x), amount, radius), 0, 1), quality)
+
+
+def _stretched(x: np.ndarray) -> np.ndarray:
+    soft = _blurred(0.6)(x)
+    low, high = np.percentile(soft, (3, 97))
+    return jpeg(np.clip((soft - low) / (high - low), 0, 1), 80)
+
+
+def _enlarged(x: np.ndarray) -> np.ndarray:
+    small = cv2.resize(x, None, fx=1 / 1.6, fy=1 / 1.6, interpolation=cv2.INTER_AREA)
+    return cv2.resize(small, x.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+
+
+AS_BANEPA = "sharpened, as banepa"
+WAYS: dict[str, Way] = {
+    "by area": lambda x: x,
+    AS_BANEPA: _sharpened(0.5, 0.8, 1.0, 75),
+    "sharpened more": _sharpened(0.7, 1.2, 1.2, 85),
+    "contrast stretched": _stretched,
+    "enlarged 1.6 times": _enlarged,
+    "blurred by 1 px": _blurred(1.0),
+    "blurred by 1.5 px": _blurred(1.5),
+}
+
+
+def reduced(pixels: np.ndarray, factor: float, way: Way) -> np.ndarray:
+    """`pixels` (H, W, 3) uint8 at `factor` times the size, and then changed in that way."""
+    size = round(pixels.shape[1] * factor), round(pixels.shape[0] * factor)
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+    return np.asarray(np.clip(np.round(255 * way(small)), 0, 255)).astype(np.uint8)
+
+
+def window(picture: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels around `box` (5,), and the box in them."""
+    half = int(AROUND * box[2])
+    x, y = (max(int(c) - half, 0) for c in box[:2])
+    return picture[y : y + 2 * half, x : x + 2 * half], box - [x, y, 0, 0, 0]
+
+
+def made_small(
+    picture: np.ndarray, box: np.ndarray, factor: float, way: str = AS_BANEPA
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels around `box` (5,), `reduced` in one of WAYS, and the box in them."""
+    pixels, there = window(picture, box)
+    small = reduced(pixels, factor, WAYS[way])
+    shrunk = np.array([small.shape[1] / pixels.shape[1], small.shape[0] / pixels.shape[0]])
+    return small, there * [*shrunk, *[np.sqrt(shrunk.prod())] * 2, 1]
+
+
+def sheets(data: Path, places: Sequence[str], beside: str, count: int, seed: int, folder: Path) -> None:
+    """Draw `count` large vehicles of each of `places`, two of three reduced, and as many of the place `beside`.
+
+    None is drawn twice: a reader would measure one by the other.
+    """
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    cells: list[Cell] = []
+    sources: dict[str, dict] = {}
+    for scene in measured_scenes(data):
+        vehicles = [(p.picture.path, box) for p in scene.pictures for box in p.vehicles]
+        if scene.name == beside:
+            some = [v for v in vehicles if v[1][2] < SMALL[1]]
+            chosen = [some[k] for k in rng.permutation(len(some))[: 2 * count * len(places) // 3]]
+            cells += [Cell(scene.name, path, _to_cell(box, rng), box) for path, box in chosen]
+        elif scene.name in places:
+            large = [v for v in vehicles if v[1][2] > LARGE]
+            for n, k in enumerate(rng.permutation(len(large))[:count]):
+                path, box = large[k]
+                if n % 3 == 0:
+                    cells.append(Cell(scene.name, path, _to_cell(box, rng), box))
+                    continue
+                factor = rng.uniform(*SMALL) / box[2]
+                pixels, there = made_small(as_stored(path), box, factor)
+                name = f"reduced_{len(sources):03d}.png"
+                cv2.imwrite(str(folder / name), pixels)
+                sources[name] = {
+                    "picture": str(path.relative_to(data)),
+                    "label": box.round(2).tolist(),
+                    "factor": factor,
+                }
+                cells.append(Cell(scene.name, folder / name, _to_cell(there, rng), there))
+    (folder / SOURCES).write_text(json.dumps(sources))
+    write_sheets(folder, [cells[k] for k in rng.permutation(len(cells))])
+
+
+def keep(folder: Path, answers: Path, reader: str, data: Path) -> None:
+    sources = json.loads((folder / SOURCES).read_text())
+    read = measured(folder, [read_answers(answers)], data)
+    small = [
+        {
+            "scene": row["scene"],
+            **sources[row["picture"]],
+            "read": (np.array(row["read"][2:4]) / row["label"][2]).round(4).tolist(),
+        }
+        for row in read if row["picture"] in sources
+    ]  # fmt: skip
+    again = [row for row in read if row["picture"] not in sources]
+    for name, what, rows in (
+        ("again", "Vehicles that this reader measured by eye once more, among reduced ones.", again),
+        ("reduced", "The same, reduced by `factor`: read is length and width by the label's length there.", small),
+    ):
+        text = f"{what} Reader {reader.upper()}, by training/measurer/reduced.py."
+        store(BY_HAND.with_name(f"read_{name}_{reader}.json"), {"what": text, "vehicles": rows})
+
+
+def told_size(measurer: Measurer, pixels: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """(2,) as the measurer tells it in `pixels`, BGR, by the length of `box` (5,); nan where it is unsure."""
+    found = measurer.in_pixels(np.ascontiguousarray(pixels[..., ::-1]), Boxes(box[None], np.ones(1)))
+    return np.where(trusted(found)[0], found.boxes.xylwa[0, 2:4] / box[2], np.nan)
+
+
+def small(measurer: Measurer, data: Path, places: Sequence[str]) -> str:
+    """By how many pixels lengths and widths of large vehicles are told larger where they are made small: medians over
+    all vehicles, by length and way."""
+    lines = [f"{'':22s}" + "".join(f"{length:14d} px" for length in LENGTHS)]
+    vehicles = [
+        (p.picture.path, box) for scene in measured_scenes(data) if scene.name in places
+        for p in scene.pictures for box in p.vehicles if box[2] > LARGE
+    ]  # fmt: skip
+    before = [told_size(measurer, *window(as_stored(path), box)) for path, box in vehicles]
+    for way in WAYS:
+        cells = []
+        for length in LENGTHS:
+            larger = []
+            for (path, box), sharp in zip(vehicles, before, strict=True):
+                after = told_size(measurer, *made_small(as_stored(path), box, length / box[2], way))
+                larger.append(length * (after - sharp))
+            cells.append("{:+8.2f} {:+5.2f}".format(*np.nanmedian(larger, axis=0)))
+        lines.append(f"{way:22s}" + "   ".join(cells))
+    return f"{len(vehicles)} vehicles: length, width [px]\n" + "\n".join(lines)
+
+
+def told(measurer: Measurer, data: Path, readers: Sequence[str]) -> str:
+    """What becomes of vehicles' sizes as they are reduced, by each reader, and by the measurer; medians and their one
+    sigma."""
+
+    def line(name: str, changes: Sequence[np.ndarray]) -> str:
+        rows = np.array([c for c in changes if np.isfinite(c).all()])
+        median, spread = middle(rows)
+        error = spread * np.sqrt(np.pi / 2 / len(rows))
+        parts = (f"{100 * m:+5.1f} +- {100 * e:.1f} %" for m, e in zip(median, error, strict=True))
+        return f"{name:44s} {len(rows):3d}: length {{}}, width {{}}".format(*parts)
+
+    lines = []
+    for reader in readers:
+        again, small = (
+            json.loads(BY_HAND.with_name(f"read_{name}_{reader}.json").read_text())["vehicles"]
+            for name in ("again", "reduced")
+        )
+        places = {row["scene"] for row in small}
+        habit, changed, reduced_ones, doubtful = [], [], [], []
+        for row in again:
+            picture, box, read = as_stored(data / row["picture"]), np.array(row["label"]), np.array(row["read"][2:4])
+            if row["scene"] in places:
+                habit.append(np.log(read / box[2:4]))
+            else:
+                doubtful.append(np.log(told_size(measurer, *window(picture, box)) * box[2] / read))
+        small_habit = [np.log(np.array(row["read"]) * row["label"][2] / row["label"][2:4]) for row in small]
+        for row in small:
+            picture, box = as_stored(data / row["picture"]), np.array(row["label"])
+            after = told_size(measurer, *made_small(picture, box, row["factor"]))
+            changed.append(np.log(after / told_size(measurer, *window(picture, box))))
+            reduced_ones.append(np.log(after / row["read"]))
+        lines += [
+            line(f"{reader.upper()} against readers before, as they are", habit),
+            line("  reduced", small_habit),
+            line("  measurer: reduced against as they are", changed),
+            line("  measurer against reader: reduced", reduced_ones),
+            line("  measurer against reader: place in doubt", doubtful),
+        ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    draw = commands.add_parser("sheets")
+    draw.add_argument(
+        "--places", nargs="+", default=["brighton", "chongqing", "kampala", "manila", "tianjin", "weedon"]
+    )
+    draw.add_argument("--beside", required=True, help="place of small vehicles that is in doubt")
+    draw.add_argument("--count", type=int, default=10, help="vehicles of each place (%(default)s)")
+    draw.add_argument("--seed", type=int, default=0)
+    draw.add_argument("--out", type=Path, required=True)
+    kept = commands.add_parser("keep")
+    kept.add_argument("folder", type=Path)
+    kept.add_argument("answers", type=Path)
+    kept.add_argument("--reader", required=True, help="letter of the reader")
+    tell = commands.add_parser("told")
+    tell.add_argument("--measurer", type=Path, required=True)
+    tell.add_argument("--readers", nargs="+", required=True)
+    make = commands.add_parser("small")
+    make.add_argument("--measurer", type=Path, required=True)
+    for command in (draw, make):
+        command.add_argument("--places", nargs="+", default=SHARP)
+    for command in (draw, kept, tell, make):
+        command.add_argument("--data", type=Path, required=True)
+    options = parser.parse_args()
+    if options.command == "sheets":
+        sheets(options.data, options.places, options.beside, options.count, options.seed, options.out)
+    elif options.command == "keep":
+        keep(options.folder, options.answers, options.reader, options.data)
+    elif options.command == "small":
+        print(small(Measurer(options.measurer), options.data, options.places))
+    else:
+        print(told(Measurer(options.measurer), options.data, options.readers))
+
+
+if __name__ == "__main__":
+    main()
