@@ -44,8 +44,8 @@ SHIPPED = MeasurerCard.from_json(CARD.read_text(), str(CARD)).ruler
 # The measurer's boxes, of which the noise is a share of the vehicle (3 % of length, 4.4 % of width: 1.1 and 0.66 px at
 # 12 cm/px) and hardly any margin is left open, as its card has it: alike at every pixel size. And what it calls them.
 MEASURED = replace(
-    RULER, margin=(0.33, -0.07), margin_sd=(0.15, 0.15), bias_sd=(0.01, 0.03), noise=(1.1, 0.66), shrink_sd=(0.0, 0.0),
-    kinds=SHIPPED.kinds, kinds_vehicles=SHIPPED.kinds_vehicles,
+    RULER, margin=SHIPPED.margin, margin_sd=SHIPPED.margin_sd, bias_sd=SHIPPED.bias_sd, noise=(1.1, 0.66),
+    shrink_sd=(0.0, 0.0), kinds=SHIPPED.kinds, kinds_vehicles=SHIPPED.kinds_vehicles,
 )  # fmt: skip
 CONDITIONS = {  # vans among the vehicles (None: as many as places have), share of false boxes among the boxes
     "vehicles only": (NO_VANS, 0.0),

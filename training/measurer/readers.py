@@ -28,7 +28,7 @@ from .evaluate import FEWEST, SHIPPED, Place, against_readings, variance_of
 from .real import READ as LEARNT
 from .real import SLANTED
 
-READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcd"))
+READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcdeg"))
 STRAY = (0.01, 0.015)  # one sigma of length and width by which readings of places are weighed, before it is known
 DRAWS = 1000  # of places, for the uncertainty (bootstrap; Efron 1979)
 

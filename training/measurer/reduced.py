@@ -228,9 +228,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     draw = commands.add_parser("sheets")
-    draw.add_argument(
-        "--places", nargs="+", default=["brighton", "chongqing", "kampala", "manila", "tianjin", "weedon"]
-    )
     draw.add_argument("--beside", required=True, help="place of small vehicles that is in doubt")
     draw.add_argument("--count", type=int, default=10, help="vehicles of each place (%(default)s)")
     draw.add_argument("--seed", type=int, default=0)
