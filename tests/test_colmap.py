@@ -165,6 +165,34 @@ def test_write(made, form, tmp_path):
     assert again.content_hash() != source.content_hash()
 
 
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_every_sensor_of_a_rig_moves(tmp_path, monkeypatch, form):
+    """Those that took no image too, whose places no projection shows: they were not compared."""
+    model, _ = make_model(rig=True)
+    rig = model.rigs[1]
+    idle = pycolmap.sensor_t(pycolmap.SensorType.IMU, 7)
+    rig.add_sensor(idle, pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.1, 0.2, 0.3])))
+    source = ColmapSource.open(save(model, tmp_path / "m", form), need_images=False)
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.5)
+    written = pycolmap.Reconstruction(str(tmp_path / "out")).rigs[1]
+    for sensor, pose in rig.non_ref_sensors.items():
+        assert np.allclose(written.non_ref_sensors[sensor].translation, 2.5 * pose.translation, rtol=1e-14)
+        assert np.allclose(written.non_ref_sensors[sensor].rotation.quat, pose.rotation.quat, atol=1e-15)
+
+    kind = {"bin": "write_binary", "txt": "write_text"}[form]
+    honest = getattr(pycolmap.Reconstruction, kind)
+
+    def forgetful(model, folder):
+        model.rigs[1].set_sensor_from_rig(idle, rig.sensor_from_rig(idle))
+        honest(model, folder)
+
+    monkeypatch.setattr(pycolmap.Reconstruction, kind, forgetful)
+    (tmp_path / "again").mkdir()
+    with pytest.raises(OutputError, match="sensor of a rig is 0.45 off"):
+        source.write(tmp_path / "again", 2.5)
+
+
 def test_write_a_model_without_rigs(model_bin, tmp_path):
     (model_bin / "rigs.bin").unlink()
     (model_bin / "frames.bin").unlink()

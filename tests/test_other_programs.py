@@ -276,3 +276,61 @@ def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_
         open_source(path, need_images=False).ground  # noqa: B018
     for one, other in zip(*asked, strict=True):
         assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("project.psx", "Export Cameras"),
+        ("cameras.xml", "Export Cameras"),
+        ("flight.rcproj", "Export the registration"),
+        ("flight.p4d", "orthophoto that it made"),
+        ("cameras.sfm", "aliceVision_exportColmap"),
+        ("sfm_data.bin", "openMVG_main_openMVG2Colmap"),
+        ("scene.mvs", "made from"),
+        ("cloud.ply", "sim3.json cloud.ply --out"),
+        ("mesh.LAZ", "sim3.json mesh.LAZ --out"),
+        ("cloud.e57", "As PLY"),
+        ("flight.mp4", "reconstruct its frames"),
+        ("database.db", "sparse/0"),
+        ("notes.xml", "GeoTIFF"),
+    ],
+)
+def test_what_is_no_picture_and_no_model_is_told_its_way(tmp_path, name, said):
+    """All were "no image that GDAL can open; use a GeoTIFF"."""
+    text = "<?xml version='1.0'?>\n<document version='1.5.0'><chunk/></document>" if name == "cameras.xml" else "x\n"
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match="GDAL") as told:
+        open_source(tmp_path / name)
+    assert said in told.value.hint
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("sfm_data.json", {"sfm_data_version": "0.3", "views": []}, "openMVG2Colmap"),
+        ("scene.json", {"version": ["1", "2"], "featuresFolders": [], "views": []}, "aliceVision_exportColmap"),
+        ("sim3.json", {"scale": 2.0}, "orthoscale apply"),
+        ("any.json", {"a": 1}, "nerfstudio"),
+        ("number.json", 3, "nerfstudio"),
+    ],
+)
+def test_json_of_other_kinds_is_told_its_way(tmp_path, name, text, said):
+    (tmp_path / name).write_text(json.dumps(text))
+    with pytest.raises(InputError, match="not a transforms.json") as told:
+        open_source(tmp_path / name)
+    assert said in told.value.hint
+
+
+@pytest.mark.parametrize("name", ["project.files", "survey/sfm_data.bin", "survey/project.psx"])
+def test_folders_of_other_programs_are_told_their_way(tmp_path, name):
+    place = tmp_path / name
+    if place.suffix == ".files":
+        place.mkdir()
+    else:
+        place.parent.mkdir()
+        place.write_text("x")
+        place = place.parent
+    with pytest.raises(InputError, match="holds no COLMAP model") as told:
+        open_source(place)
+    assert "are not read" in told.value.hint

@@ -184,6 +184,32 @@ def test_names_of_windows(made, pinhole, tmp_path):
         assert open_source(path).pictures[0].name == "pics/00.png"
 
 
+@pytest.mark.parametrize("folder", [r"D:\Flüge\my flight", "/home/anna/flight"])
+def test_whole_paths_of_another_machine_count_from_the_folder_that_they_share(made, pinhole, tmp_path, folder):
+    """As Metashape's and RealityCapture's lists have them: no frame was found, and the names were said to differ."""
+    put_frames(made[0], tmp_path / "pics/a")
+    sep = "\\" if "\\" in folder else "/"
+    for writer, (model, _) in ((bundler, made), (nvm, pinhole)):
+        path = writer(model, tmp_path, lost=0) if writer is bundler else writer(model, tmp_path)
+        for file in (path, tmp_path / "list.txt"):
+            there = f"{folder}{sep}a{sep}".replace("\\", "\\\\").replace(" ", '"' if file.suffix == ".nvm" else " ")
+            file.write_text(re.sub(r"^(\./)?(\d\d\.png)", there + r"\2", file.read_text(), flags=re.MULTILINE))
+        source = open_source(path, tmp_path / "pics/a")
+        assert len(source.pictures) == len(source.picture_names) == 12 and source.picture_names[0] == "00.png"
+        (tmp_path / "out").mkdir()
+        source.write(tmp_path / "out", 2.0)
+        (tmp_path / "out").rename(tmp_path / f"out{path.suffix}")
+
+
+@pytest.mark.parametrize("name", ["flight.out.list.txt", "flight.list.txt", "flight_list.txt", "list.txt"])
+def test_the_list_of_bundlers_images_by_any_programs_name(made, tmp_path, name):
+    """COLMAP's window writes x.out.list.txt beside x.out."""
+    path = bundler(made[0], tmp_path).rename(tmp_path / "flight.out")
+    (tmp_path / "list.txt").rename(tmp_path / name)
+    put_frames(made[0], tmp_path / "images")
+    assert len(open_source(path).pictures) == 12
+
+
 @pytest.mark.parametrize("focal", ["", " 0 401.25"])
 def test_spaces_in_bundlers_list(made, tmp_path, focal):
     path = bundler(made[0], tmp_path, lost=0)

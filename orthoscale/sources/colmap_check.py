@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from ..formats.other_programs import project_in
 from .colmap_binary import read_binary
 from .colmap_tables import (
     CAMERA_MODELS,
@@ -104,11 +105,13 @@ def model_folders(path: Path) -> list[Path]:
         ):
             if models := [folder for folder in group if _holds_model(folder)]:
                 return models
+        project = project_in(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check its permissions.") from error
     raise InputError(
         f"{path} holds no COLMAP model (no cameras.bin or cameras.txt in it, in sparse/ or in sparse/0)",
-        "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names. "
+        project
+        or "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names. "
         f"Orthophotos in folders below it: '{path}/*/*.tif', in quotes.",
     )
 

@@ -95,6 +95,12 @@ def difference(
         if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
             return f"camera {number} has other parameters"
 
+    # Of sensors that took none of the images too, whose places no camera shows.
+    places, new_places = (_sensor_places(m) for m in (model, written))
+    if places.keys() != new_places.keys():
+        return "rigs have other sensors"
+    sensors, new_sensors = (np.array([p[key] for key in sorted(places)]).reshape(-1, 3) for p in (places, new_places))
+
     ids = np.array(sorted(model.points3D))
     points, new_points = (np.array([m.points3D[i].xyz for i in ids]) for m in (model, written))
     errors, new_errors = (np.array([m.points3D[i].error for i in ids]) for m in (model, written))
@@ -102,9 +108,10 @@ def difference(
     if sorted(image_ids) != sorted(written.reg_image_ids()):
         return "other images are registered"
     centres, new_centres = (np.array([m.image(i).projection_center() for i in image_ids]) for m in (model, written))
-    size = scale * max(np.abs(points).max(), np.abs(centres).max())
-    for what, old, new in (("point", points, new_points), ("camera", centres, new_centres)):
-        error = np.abs(new - scale * old).max()
+    size = scale * max(np.abs(points).max(), np.abs(centres).max(), np.abs(sensors).max(initial=0))
+    moved = ("point", points, new_points), ("camera", centres, new_centres), ("sensor of a rig", sensors, new_sensors)
+    for what, old, new in moved:
+        error = np.abs(new - scale * old).max(initial=0)
         if not error <= position * size:
             return f"a {what} is {error:.3g} off"
     if np.abs(new_errors - errors).max() > REPROJECTION:
@@ -119,6 +126,16 @@ def difference(
         if problem := _reprojection(before, after, points[np.searchsorted(ids, np.array(seen, ids.dtype))], scale):
             return problem
     return ""
+
+
+def _sensor_places(model: pycolmap.Reconstruction) -> dict[tuple[int, str, int], np.ndarray]:
+    """(3,) translations of the sensors in their rigs, by rig, kind and number, where they are known."""
+    return {
+        (number, sensor.type.name, sensor.id): pose.translation
+        for number, rig in model.rigs.items()
+        for sensor, pose in rig.non_ref_sensors.items()
+        if pose is not None
+    }
 
 
 def _reprojection(before: pycolmap.Image, after: pycolmap.Image, points: np.ndarray, scale: float) -> str:

@@ -22,6 +22,7 @@ from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
 from ..errors import InputError, UsageError
+from ..formats.other_programs import what_instead
 from ..formats.points import pixel
 from ..system.budget import in_words
 from ..system.scratch import Scratch
@@ -127,7 +128,7 @@ class RasterSource:
         if empty:
             raise InputError(f"{path} is empty", "Export or download it again.")
         stamp = Stamp.of(path)
-        with reading(path, "is not an image that GDAL can open", USE_ANOTHER):
+        with reading(path, "is not an image that GDAL can open", what_instead(path) or USE_ANOTHER):
             dataset = open_dataset(path)
         try:
             with reading(path, "is damaged", EXPORT_AGAIN):

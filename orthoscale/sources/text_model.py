@@ -5,7 +5,10 @@ Their files do not state the sizes of the images, so the frames are needed.
 
 from __future__ import annotations
 
+import os
+import posixpath
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
@@ -37,8 +40,8 @@ class TextSource(OneFileSource):
         path = Path(path)
         stamp = Stamp.of(path)
         text = read_text_model(path)
-        names, lists = image_names(path, text)
-        wanted = sorted({_clean(name) for name, focal in zip(names, text.focal, strict=True) if focal > 0})
+        names, lists = _names(path, text)
+        wanted = sorted({name for name, focal in zip(names, text.focal, strict=True) if focal > 0})
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
         root, missing = image_folder(path.parent, Path(images) if images is not None else None, wanted)
@@ -60,13 +63,20 @@ class TextSource(OneFileSource):
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
-        return _built(
-            out, text, image_names(out, text)[0], {name: self.image_size(name) for name in self.picture_names}
-        )
+        return _built(out, text, _names(out, text)[0], {name: self.image_size(name) for name in self.picture_names})
 
 
-def _clean(name: str) -> str:
-    return PureWindowsPath(name).as_posix()  # VisualSFM is at home on Windows
+def _names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
+    """`image_names`, with slashes between folders: VisualSFM is at home on Windows. Where all are whole paths, which
+    are another machine's if no such file is on this one, they count from the folder that they share."""
+    given, lists = image_names(path, text)
+    names = [PureWindowsPath(name).as_posix() for name in given]
+    if not all(PureWindowsPath(name).root for name in names) or any(map(os.path.isfile, names)):
+        return names, lists
+    with suppress(ValueError):  # on several drives
+        shared = posixpath.commonpath([posixpath.dirname(name) for name in names])
+        names = [posixpath.relpath(name, shared) for name in names]
+    return names, lists
 
 
 def _size(path: Path) -> tuple[int, int]:
@@ -82,7 +92,7 @@ def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruct
     cameras = {image.name: model.camera(image.camera_id) for image in model.images.values()}
     order = np.argsort(text.seen[:, 0], kind="stable")
     each = np.split(text.seen[order, 1:], np.searchsorted(text.seen[order, 0], np.arange(1, len(names))))
-    of = {_clean(name): seen for name, seen in zip(names, each, strict=True) if _clean(name) in cameras}
+    of = {name: seen for name, seen in zip(names, each, strict=True) if name in cameras}
     pairs = []
     for (name, seen), some in zip(of.items(), some_of_each([len(seen) for seen in of.values()]), strict=True):
         camera = cameras[name]
@@ -94,7 +104,7 @@ def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruct
 def _built(path: Path, text: TextModel, names: list[str], sizes: dict[str, tuple[int, int]]) -> pycolmap.Reconstruction:
     """The model of the images of known `sizes`. Raises InputError for what cannot be meant."""
     cameras, poses = {}, {}
-    for k, name in enumerate(map(_clean, names)):
+    for k, name in enumerate(names):
         if name not in sizes or not text.focal[k] > 0:
             continue
         size = np.array(sizes[name], float)

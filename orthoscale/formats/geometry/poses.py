@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import InputError, UsageError
+from ..other_programs import BY_KEY, what_instead
 from ..reading import HUGE, checked, read_plain
 from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
@@ -27,12 +28,14 @@ def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     from ..schemas.models import OpensfmPart, Transforms
 
     text = read_plain(path, "a JSON of cameras", POSES_HINT, HUGE)
+    keys = BY_KEY.keys() & text if isinstance(text, dict) else ()
+    hint = what_instead(path) or next((BY_KEY[key] for key in keys), POSES_HINT)
     if isinstance(text, list):
-        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", POSES_HINT)
+        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", hint)
         if not text:
             raise InputError(f"{path}: not an OpenSfM reconstruction (it holds none)", POSES_HINT)
     else:
-        checked(text, Transforms, str(path), "a transforms.json", POSES_HINT)
+        checked(text, Transforms, str(path), "a transforms.json", hint)
     return text
 
 

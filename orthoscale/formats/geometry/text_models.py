@@ -85,12 +85,16 @@ def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
     if text.names is not None:
         return text.names, []
     count = len(text.focal)
-    places = [path.with_name("list.txt"), path.parent.parent / "list.txt"]
+    # COLMAP's window writes x.out and x.out.list.txt, Metashape's users name both as they like.
+    own = [path.with_name(name) for name in (f"{path.name}.list.txt", f"{path.stem}.list.txt", f"{path.stem}_list.txt")]
+    places = [*own, path.with_name("list.txt"), path.parent.parent / "list.txt"]
     if path.name.endswith("bundle.out") and path.name != "bundle.out":  # COLMAP writes x.bundle.out, x.list.txt
         places.insert(0, path.with_name(path.name.removesuffix("bundle.out") + "list.txt"))
     found = next((place for place in places if place.is_file()), None)
     if found is None:
-        raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
+        raise InputError(
+            f"{path} has no list of its images ({path.with_name('list.txt')})", "Put Bundler's list.txt beside it."
+        )
     lines = read_text(found, "It is Bundler's list of images.").splitlines()
     # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
     names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in lines if line.strip()]
