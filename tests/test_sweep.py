@@ -325,6 +325,23 @@ def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
     assert {p.name for p in (tmp_path / "tiles").glob("*.sqlite")} == {"new.sqlite"}
 
 
+def test_a_cache_of_another_user_is_read_and_stops_nothing(tmp_path, picture_file, monkeypatch):
+    """In a folder that several share, a run ended with "writing failed (Permission denied)" of its output."""
+    tile, looks = tiles(picture_file, 1.0)[0], Looks(Boxes([[1, 2, 4, 3, 0.5]], [0.7]), Boxes.empty())
+    TileCache("old", tmp_path).__exit__()
+    os.utime(tmp_path / "tiles" / "old.sqlite", (0, 0))
+    with TileCache("key", tmp_path) as cache:
+        cache.put(picture_file, tile, looks)
+
+    def not_mine(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "utime", not_mine)
+    monkeypatch.setattr(Path, "unlink", not_mine)
+    with TileCache("key", tmp_path) as cache:
+        assert cache.get(picture_file, tile) is not None
+
+
 @pytest.mark.parametrize("code", [CODE, CODE_OF_FINDERS, FEATURE_CODE, EMBEDDING_CODE])
 def test_the_files_that_decide_over_what_is_kept_are_there(code):
     package = Path(orthoscale.__file__).parent

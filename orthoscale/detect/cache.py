@@ -171,7 +171,8 @@ def _open(path: Path) -> sqlite3.Connection:
         file.execute("PRAGMA synchronous = NORMAL")
         columns = "tile TEXT PRIMARY KEY, content BLOB NOT NULL, checksum BLOB NOT NULL"
         file.execute(f"CREATE TABLE IF NOT EXISTS looks ({columns})")
-        os.utime(path)
+        with suppress(PermissionError):  # another user's, whose looks can be read
+            os.utime(path)
     except BaseException:
         file.close()
         raise
@@ -180,8 +181,9 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _forget_old(folder: Path) -> None:
     for path in folder.glob("*.sqlite"):
-        if time.time() - path.stat().st_mtime > KEPT_SECONDS:
-            path.unlink(missing_ok=True)
+        with suppress(OSError):  # another user's, or gone meanwhile
+            if time.time() - path.stat().st_mtime > KEPT_SECONDS:
+                path.unlink()
 
 
 def tile_name(picture: Picture, tile: Tile) -> str:
