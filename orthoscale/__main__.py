@@ -9,6 +9,9 @@ stopping.leave_at_once()
 
 def main() -> None:
     """The command line."""
+    from .system import quiet
+
+    quiet.open_streams()
     from .cli import main as command_line
 
     try:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from support.reports import car_park
 
 SAID = """
 import logging, os, sys
@@ -30,6 +31,19 @@ def test_without_a_standard_error_nothing_breaks():
     line = "import os; os.close(2); from orthoscale.system import quiet\nwith quiet.unheard(): print('fine')"
     done = subprocess.run([sys.executable, "-c", line], stdout=subprocess.PIPE, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (0, "fine\n")
+
+
+@pytest.mark.slow
+def test_a_command_whose_streams_are_closed_does_its_work(tmp_path):
+    """`fix ... >&- 2>&-` ended with 1 and wrote nothing; files took the descriptors of the streams."""
+    car_park(tmp_path)
+    files = tmp_path / "park.png", "--detections", tmp_path / "detections.json"
+    command = [sys.executable, "-m", "orthoscale", "fix", *files, "--fleet", "DE", "--anchors", "none"]
+    for number, closed in enumerate((">&- 2>&-", "<&- >&- 2>&-", "2>&-")):
+        line = f'exec "$0" "$@" {closed}'
+        out = tmp_path / f"out{number}.tif"
+        done = subprocess.run(["sh", "-c", line, *map(str, command), "--out", out], timeout=120)
+        assert done.returncode == 0 and out.is_file()
 
 
 def test_the_network_tells_nobody_that_it_is_used(tmp_path):

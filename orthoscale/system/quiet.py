@@ -1,4 +1,4 @@
-"""Suppresses what C libraries print of their own accord (libpng, libjpeg, COLMAP's log)."""
+"""Standard streams: suppresses what C libraries print of their own accord (libpng, libjpeg, COLMAP's log)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,20 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+
+def open_streams() -> None:
+    """Streams that a scheduler or shell closed (``>&-``) lead nowhere from now on. Python has None for them, and the
+    next files to be opened would get their descriptors, with what C libraries print in them."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest that is free: this one
+            os.set_inheritable(descriptor, True)
+    sys.stdin = sys.stdin or open(os.devnull, encoding="utf-8")  # noqa: SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 @contextmanager
