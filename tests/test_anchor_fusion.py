@@ -179,7 +179,7 @@ def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_ar
 def test_an_odd_one_among_many_does_not_count():
     votes = [vote("tennis court", x, 0.004, COURT, at=1e4 * k) for k, x in enumerate([0.0, 0.002, -0.001, 0.08])]
     (found,) = evidence_of(votes)
-    assert abs(np.log(found.value)) < 0.002 and found.says.startswith("3 of kind tennis court")
+    assert abs(np.log(found.value)) < 0.002 and found.says.startswith("3 x tennis court")
     value, low, high = np.log(together(votes).summary)
     assert abs(value) < 0.003 and high < 0.06
 

@@ -74,7 +74,7 @@ def test_squares_narrow_the_scale_of_their_orthophoto(square_finder, tmp_path):
     assert places[np.argsort(places[:, 1])] == pytest.approx(MIDDLES, abs=1.0)
     assert found.anchors.without.value == without.scale.value
     (evidence,) = [e for e in found.scale.evidence if e.kind == "painted square"]
-    assert evidence.says == "3 of kind painted square (squares of 10 m, 10 m)"
+    assert evidence.says == "3 x painted square (squares of 10 m, 10 m)"
 
 
 def test_where_there_are_none_nothing_changes(square_finder, tmp_path):

@@ -371,7 +371,7 @@ def test_boxes_that_may_be_of_several_standards_are_as_good_as_they_say(kind, bu
 def test_boxes_of_one_standard_count_together_whatever_their_shapes_say():
     boxes = np.array([[121.9, 24.4], [121.9, 23.8], [121.9, 22.8]])  # of 40 feet; the last are like those of 45, too
     found = scale_by("container", boxes, np.ones(3))
-    assert found.says == "3 of kind container (diagonal of container 40ft, 12.43 m)"
+    assert found.says == "3 x container (diagonal of container 40ft, 12.43 m)"
     assert found.value == pytest.approx(0.1, rel=0.01)
     share = sum(w for w, words in zip(found.own.weight, found.words, strict=True) if "40ft" in words)
     assert 0.5 < share < 0.95

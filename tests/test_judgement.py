@@ -98,7 +98,7 @@ def test_no_sampling_error_is_made_up_in_a_conflict(measured):
 def test_evidence_supports_only_where_it_is_near_all_else(measured, value, sd, severity):
     (check,) = [j for j in judgements(with_tape(measured, value, 0.0, sd)) if "evidence" in j.what]
     assert check.severity == severity
-    assert f"known distance gives {100 * (value / 0.1 - 1):+.1f} % (" in check.detail, "not against its own mean"
+    assert f"known distance {100 * (value / 0.1 - 1):+.1f} % (" in check.detail, "not against its own mean"
 
 
 def test_agreement_of_two_ways_is_told_as_it_was_judged(measured):

@@ -65,7 +65,7 @@ def test_intervals_keep_their_word_where_kinds_are_seen(code):
 
 
 def test_kinds_are_counted_in_words():
-    assert counted_kinds(["van", "car", "larger", "car", "", "larger"]) == "2 cars, 1 van, 2 larger, 1 not looked at"
+    assert counted_kinds(["van", "car", "larger", "car", "", "larger"]) == "2 cars, 1 van, 2 larger, 1 of unknown kind"
     assert counted_kinds(["", ""]) == counted_kinds([]) == ""
 
 

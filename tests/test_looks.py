@@ -189,7 +189,7 @@ def test_vehicles_measured_both_ways_are_compared_themselves(measured):
     assert agreement.common > 15 and agreement.difference == pytest.approx(0, abs=0.01)
     a, b = agreement.scales.values()
     by_all, by_common = 100 * (b.value / a.value - 1), 100 * np.expm1(agreement.difference)
-    words = f": {by_all:+.1f} %, {by_common:+.1f} % on the {agreement.common} vehicles measured both ways, "
+    words = f": {by_all:+.1f} %, and {by_common:+.1f} % on the {agreement.common} vehicles measured both ways, "
     assert words in agreement.sentence()
     noise = np.random.default_rng(0).normal(0, 0.02, (20, 2))
     other = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise)

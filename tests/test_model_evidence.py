@@ -127,7 +127,7 @@ def test_an_object_seen_in_many_frames_is_one_measurement(model, kind, size):
     frames = {name: {kind: boxes} for name, boxes in boxes_of(model, bodies).items()}
     assert sum(len(kinds[kind]) for kinds in frames.values()) > 5
     (found,) = evidence_of(objects_in_model(model[0], frames, 1.0, UNIT, standards()))
-    assert found.kind == kind.replace("-", " ") and "2 of kind" in found.says
+    assert found.kind == kind.replace("-", " ") and "2 x" in found.says
     assert abs(np.log(found.value / UNIT)) < (0.01 if kind == "tennis-court" else 1.5 * found.relative_sd)
     assert found.relative_sd < (0.02 if kind == "tennis-court" else 0.12)
 

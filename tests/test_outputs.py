@@ -21,7 +21,7 @@ from orthoscale.actions.check import Comparison, comparisons
 from orthoscale.core.claims import own_claim
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.scale import Scale
-from orthoscale.errors import EvidenceDisagrees, UsageError
+from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.report.document import pixel_size
 from orthoscale.report.geo import outlines, table
 from orthoscale.sources.raster import RasterSource
@@ -64,6 +64,18 @@ def boxes(tmp_path_factory):
 
 def fixed(path, out, boxes, **options):
     return orthoscale.fix(path, out, detections=boxes, fleet="DE", override=True, force=True, **options)
+
+
+def test_what_opening_cautioned_of_is_said_where_no_vehicles_are_known(tmp_path):
+    """Pixels of 0.08 x 0.16 m: it was "no boxes have the shape of vehicles", and nothing of the pixels."""
+    oblong = picture(tmp_path / "a.tif", "EPSG:32632", Affine(0.08, 0, 500_000, 0, -0.16, 5_400_000))
+    rows = [
+        {"cx": 60.0 + 40 * k, "cy": 90.0, "length": 90.0, "width": 9.0, "angle": 0.0, "score": 0.9} for k in range(9)
+    ]
+    (tmp_path / "boxes.json").write_text(json.dumps({"a.tif": rows}))
+    with pytest.raises(TooLittleEvidence) as told:
+        orthoscale.estimate(oblong, detections=tmp_path / "boxes.json", fleet="DE", anchors=["none"])
+    assert "pixels are 0.5 times as wide as high on the ground" in told.value.hint and "warp it" in told.value.hint
 
 
 # Where the copy lies

@@ -1175,6 +1175,21 @@ def test_bands_may_be_named_by_their_descriptions(tmp_path):
     assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[2::-1], 0, -1))
 
 
+def test_a_fourth_band_whose_description_is_a_colour_is_that(tmp_path):
+    """Near infrared first: blue was said to be a picture of its own that is not used, or would have masked the others
+    where it is saturated."""
+    for number, last in enumerate((scene(4)[3], np.where(np.arange(W) < 100, 0, 255) * np.ones((H, 1), np.uint8))):
+        pixels = scene(4)
+        pixels[3] = last
+
+        def describe(dataset):
+            dataset.descriptions = ("NIR", "Red", "Green", "Blue")
+
+        source = RasterSource.open(make(tmp_path / f"{number}.tif", pixels, describe))
+        assert "used as that" in source.notes[0].text and len(source.notes) == 1
+        assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[1:], 0, -1))
+
+
 def test_a_fourth_band_is_no_mask_because_it_is_called_alpha(tmp_path):
     """So GDAL calls near infrared where nobody says what it is."""
     pixels = scene(4)

@@ -72,11 +72,11 @@ def test_means_are_not_said_to_match_where_other_evidence_counts(report):
 
 
 def test_what_the_used_vehicles_are_is_told(report):
-    assert "not looked at" not in page(report, ReportPictures()), "of boxes without kinds nothing is said"
+    assert "of unknown kind" not in page(report, ReportPictures()), "of boxes without kinds nothing is said"
     told = copy.deepcopy(report)
     for vehicle, kind in zip(told["vehicles"], ["car"] * 50 + ["van"] * 8 + ["larger", "", "pickup"], strict=True):
         vehicle["kind"] = kind  # the last one does not count
-    assert "used, 60 (50 cars, 8 vans, 1 larger, 1 not looked at)" in page(told, ReportPictures())
+    assert "used, 60 (50 cars, 8 vans, 1 larger, 1 of unknown kind)" in page(told, ReportPictures())
 
 
 def test_vehicles_are_plain_values_in_metres(park, report):
@@ -519,6 +519,8 @@ def test_an_interval_that_is_not_symmetric_is_told_by_both_ends():
     report = {"scale": 0.17, "interval90": [0.081, 0.173]}
     assert wording.within(report) == "\u221252.4 to +1.8 %"
     assert wording.metres_of(report) == "10 m in the copy are 4.8 to 10.2 m on the ground"
+    report = {"scale": 14.191, "interval90": [14.125, 14.256]}
+    assert wording.metres_of(report) == "10 m in the copy are 9.95 to 10.05 m on the ground", "it was 10.0 to 10.0"
 
 
 def test_a_pipe_gets_plain_lines_the_answer_first(result, park, capsys):

@@ -30,7 +30,7 @@ from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
 from ..core.progress import Progress
-from ..core.remarks import REFUSAL
+from ..core.remarks import CAUTION, REFUSAL
 from ..core.source import GpsScale, Source
 from ..core.verdicts import UNUSABLE
 from ..detect.detector import Detector
@@ -190,8 +190,11 @@ def measured(
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
         if method.vehicles_only:
-            raise
-        answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
+            raise _with_cautions(error, source) from error
+        try:
+            answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
+        except TooLittleEvidence as also:
+            raise _with_cautions(also, source) from also
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
@@ -201,6 +204,12 @@ def measured(
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
     return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), anchors, match)
+
+
+def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidence:
+    """The same error with the cautions from opening `source`, which may be why no vehicles are known in it."""
+    cautions = [f"Caution: {note.text}." for note in source.notes if note.severity == CAUTION]
+    return TooLittleEvidence(error.message, "\n".join([error.hint, *cautions]))
 
 
 def _found(

@@ -77,7 +77,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
         seen = f" and {a['views'] - 1} more" if a["views"] > 1 else ""
         lines += [
             f"{a['kind']}: {a['standard']}, {a['metres']:.4g} m{repeated}, at {where} in {a['picture']}{seen}",
-            f"           alone {a['scale']:.5g} {told['unit']} ({100 * (a['scale'] / told['scale'] - 1):+.1f} %), "
+            f"           alone {a['scale']:.5g} {told['unit']} ({100 * (a['scale'] / told['scale'] - 1):+z.1f} %), "
             f"+- {100 * a['relative_sd']:.2f} % (1 sigma); lines off by {a['residual_cm']:.1f} cm",
         ]
     if not told["anchors"]:

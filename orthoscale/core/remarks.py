@@ -80,4 +80,4 @@ def percent(value: float) -> str:
 
 def signed(value: float) -> str:
     """As `percent`, with its sign; a true minus, as it is printed."""
-    return f"{100 * value:+.1f} %".replace("-", "−")
+    return f"{100 * value:+z.1f} %".replace("-", "−")

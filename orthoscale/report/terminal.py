@@ -50,7 +50,7 @@ def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) 
 def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     """Labels and texts, the answer first; signs in ASCII, which every terminal and pipe can write."""
     scale = result.scale
-    checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
+    checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+z.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
     seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max(initial=0) > 1 else ""
     kinds = counted_kinds(result.vehicles["kind"][scale.used])

@@ -20,11 +20,11 @@ def counted(numbers: Mapping[str, int]) -> str:
 
 
 def counted_kinds(kinds: Iterable[str]) -> str:
-    """How many vehicles are of each of `kinds`, as in `core.measuring.vehicles.VEHICLE`: "81 cars, 5 pickups, 30 not
-    looked at"; '' where nobody looked at any."""
+    """How many vehicles are of each of `kinds`, as in `core.measuring.vehicles.VEHICLE`: "81 cars, 5 pickups, 30 of
+    unknown kind"; '' where none is known."""
     number = Counter(kinds)
     told = {f"{k}{'' if k == 'larger' or number[k] == 1 else 's'}": number[k] for k in KINDS if number[k]}
-    return counted(told | ({"not looked at": number[""]} if number[""] else {})) if told else ""
+    return counted(told | ({"of unknown kind": number[""]} if number[""] else {})) if told else ""
 
 
 def likely_fleets(fleets: Mapping[str, float]) -> str:
@@ -64,7 +64,8 @@ def relative(scale: float, report: Mapping[str, Any]) -> float:
 def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
     """What the interval means for a length of so many metres in the copy."""
     low, high = (length * end / report["scale"] for end in report["interval90"])
-    return f"{length:g} m in the copy are {low:.1f} to {high:.1f} m on the ground"
+    places = min(max(decimals((high - low) / 2) - 1, 1), 3)
+    return f"{length:g} m in the copy are {low:.{places}f} to {high:.{places}f} m on the ground"
 
 
 def narrowed(report: Mapping[str, Any]) -> str:

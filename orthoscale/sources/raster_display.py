@@ -56,7 +56,7 @@ class Display:
         notes: list[Remark] = []
         bands = _colour_bands(path, dataset)
         palette = _palette(dataset)
-        masks = _alpha_masks(dataset, in_order, damage, notes)
+        masks = _alpha_masks(dataset, bands, in_order, damage, notes)
         stretch = None if palette is not None else _stretch(dataset, bands, damage, notes)
         negative = palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
         return cls(bands, palette, stretch, negative, masks, notes)
@@ -122,15 +122,19 @@ def _samples(dataset: DatasetReader, side: int = 128) -> Iterator[Window]:
             yield Window(x, y, min(side, dataset.width), min(side, dataset.height))
 
 
-def _alpha_masks(dataset: DatasetReader, in_order: bool, damage: Damage, notes: list[Remark]) -> bool:
+def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]) -> bool:
     """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
 
     Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
-    dark asphalt and water would show nothing. Formats that are decoded in order know their alpha themselves.
+    dark asphalt and water would show nothing; or, by its description, one of the `bands` that are shown. Formats that
+    are decoded in order know their alpha themselves.
     """
     alpha = next((k for k, c in enumerate(dataset.colorinterp, 1) if c.name == "alpha"), None)
     if alpha is None or in_order:
         return True
+    if alpha in bands:
+        notes.append(Remark(INFO, f"band {alpha} is called alpha, but its description is a colour's: used as that"))
+        return False
     values = []
     for window in _samples(dataset):
         with damage(f"near x {window.col_off}, y {window.row_off}"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
@@ -76,7 +77,9 @@ def _modes(measured: Measurement) -> Judgement | None:
         return None
     (first, a), (second, b) = agreement.scales.items()
     what = f"{second.capitalize()} and {first} {'disagree' if agreement.contradicts else 'agree'}"
-    detail = f"{first} gives {signed(a.value / b.value - 1)} ({agreement.tension:.1f} sigma)"
+    by_common = math.expm1(-agreement.difference)
+    common = f", {signed(by_common)} by the {agreement.common} vehicles of both" if agreement.common else ""
+    detail = f"{first} gives {signed(a.value / b.value - 1)}{common} ({agreement.tension:.1f} sigma)"
     return Judgement(agreement.remark.severity if agreement.contradicts else SUPPORT, what, detail)
 
 
@@ -86,8 +89,8 @@ def _evidence(measured: Measurement) -> Judgement | None:
         return Judgement(REFUSAL, "Other evidence contradicts", "; ".join(scale.support.conflicts))
     if not (compared := scale.support.compared):
         return None
-    kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in compared)
-    detail = f"against all else, {kinds}"
+    kinds = ", ".join(f"{one.kind} {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in compared)
+    detail = f"against all else: {kinds}"
     if any(one.doubtful for one in compared):
         return Judgement(CAUTION, "Other evidence is doubtful", detail)
     if max(abs(one.difference) for one in compared) > max(scale.half_width, ROUGH):

@@ -72,9 +72,10 @@ class Agreement:
     def sentence(self) -> str:
         """In words."""
         (first, a), (second, b) = self.scales.items()
-        parts = f"{100 * np.expm1(self.difference):+.1f} %"
+        parts = f"{100 * np.expm1(self.difference):+z.1f} %"
         if self.common:
-            parts = f"{100 * np.expm1(self.apart):+.1f} %, {parts} on the {self.common} vehicles measured both ways"
+            parts = f"{parts} on the {self.common} vehicles measured both ways"
+            parts = f"{100 * np.expm1(self.apart):+z.1f} %, and {parts}"
         so = "; the two contradict each other" if self.contradicts else ""
         if self.cause:
             so = f"{so}: {self.cause}"

@@ -192,6 +192,6 @@ def _prior(standard: Standard, country: str) -> float:
 def _in_words(kind: str, votes: Sequence[AnchorVote], standard: Standard) -> str:
     """For people: what was found, and what it is taken for."""
     count, repeated = len(votes), sum(vote.anchor.count for vote in votes)
-    many = f"{count} of kind {kind}" if count > 1 else kind
+    many = f"{count} x {kind}" if count > 1 else kind
     rows = f", {repeated} in {'rows' if count > 1 else 'a row'}" if repeated > count else ""
     return f"{many} ({standard.name}, {standard.metres:.4g} m{rows})"
