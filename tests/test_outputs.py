@@ -413,6 +413,27 @@ def test_geojson_has_no_longitudes_beyond_180_degrees(tmp_path, boxes):
     assert np.allclose(np.array(ring)[:, 0], -179, atol=0.01)
 
 
+@pytest.mark.parametrize("crs", ["EPSG:32660", "EPSG:4326"])
+def test_shapes_on_the_180th_meridian_do_not_go_around_the_earth(tmp_path, boxes, crs):
+    """Those of UTM had corners at 179.99 and -179.99; boxes saved from degrees lay beyond 180 and were not found again
+    where other programs wrote them within."""
+    middle = 60 + 4 * (W - 120) / 9  # of a column of boxes [px]
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(180.0, 48.0)
+    x, y = abs(x), y  # -180 is the same
+    step = (GSD * 0.9996, GSD * 0.9996) if crs == "EPSG:32660" else (GSD / 74_632, GSD / 111_190)
+    path = picture(tmp_path / "a.tif", crs, Affine(step[0], 0, x - middle * step[0], 0, -step[1], y))
+    fixed(path, tmp_path / "out.tif", boxes, also=["geojson"], keep_origin=True, save_detections=tmp_path / "b.geojson")
+    for name in ("out.tif.geojson", "b.geojson"):
+        text = json.loads((tmp_path / name).read_text())
+        rings = np.array([feature["geometry"]["coordinates"][0] for feature in text["features"]])
+        east = rings[..., 0]
+        assert np.ptp(east, axis=1).max() < 1e-3 and (np.abs(east.mean(1)) < 180.0001).all()
+        assert (east.mean(1) < 0).any() and (east.mean(1) > 0).any() and (np.abs(east) > 180).any()
+    first = orthoscale.estimate(path, fleet="DE", detections=tmp_path / "b.geojson", anchors=["none"])
+    again = orthoscale.estimate(path, fleet="DE", detections=boxes, anchors=["none"])
+    assert first.scale.value == pytest.approx(again.scale.value, rel=1e-3)
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("name", ["nothing", "UTM", "rotated", "south-up", "mirrored", "degrees"])
 def test_headings_are_those_of_the_outlines(tmp_path, boxes, name):

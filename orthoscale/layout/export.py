@@ -13,7 +13,7 @@ from rasterio.windows import Window as RasterWindow
 
 from ..formats.names import json_in_utf8
 from ..formats.pictures import write_png
-from ..formats.vector import write_layer
+from ..formats.vector import about_meridian, write_layer
 from ..sources.gdal import guarded
 from . import draw
 from .plan import Layout, document, prompt
@@ -57,7 +57,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
         import pyproj
 
         there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(ground.crs), "EPSG:4326", always_xy=True)
-        areas = [shapely.transform(a, lambda c: np.column_stack(there.transform(*c.T))) for a in areas]
+        areas = [shapely.transform(a, lambda c: about_meridian(np.column_stack(there.transform(*c.T)))) for a in areas]
     write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", "EPSG:4326" if on_earth else None)
 
 

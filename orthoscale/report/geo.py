@@ -6,13 +6,13 @@ import sqlite3
 from pathlib import Path
 
 import numpy as np
-from rasterio.warp import transform_geom
+from rasterio.warp import transform
 
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.detections.geo import LAYER
 from ..formats.names import json_in_utf8
-from ..formats.vector import write_layer
+from ..formats.vector import about_meridian, write_layer
 from .anchors import entries, write_anchor_layer
 from .result import Result
 
@@ -130,9 +130,8 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
     columns = {name: values.tolist() for name, values in table(result, place).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):
-        if place.crs.is_geographic:  # rasters go on beyond 180 degrees, GeoJSON does not
-            ring[:, 0] -= 360 * np.round(ring[:, 0].mean() / 360)
-        geometry = transform_geom(place.crs, "EPSG:4326", {"type": "Polygon", "coordinates": [ring.tolist()]})
+        east, north = transform(place.crs, "EPSG:4326", *ring.T)
+        geometry = {"type": "Polygon", "coordinates": [about_meridian(np.column_stack([east, north])).tolist()]}
         properties = {name: values[k] for name, values in columns.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     text = {"type": "FeatureCollection", "name": LAYER, "features": features}

@@ -21,10 +21,12 @@ from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
 from ..names import json_in_utf8
 from ..reading import check_regular, checked, parsed
+from ..vector import about_meridian
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
 
 LAYER = "vehicles"
+WGS_84 = "EPSG:4326"  # longitude and latitude, as GeoJSON has them
 # Columns of a GeoPackage, which has no lists, by the list that each is of.
 LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
@@ -53,11 +55,18 @@ class Georeference:
         points = transformed(pixels, self.transform)
         return points if crs is None else np.column_stack(_transformer(self.crs, crs).transform(*points.T))
 
+    def to_degrees(self, pixels: np.ndarray) -> np.ndarray:
+        """(K, 2) longitudes and latitudes of one shape's (K, 2) pixels, see `about_meridian`."""
+        return about_meridian(self.to_map(pixels, WGS_84))
+
     def to_pixels(self, points: np.ndarray, crs: str | None = None) -> np.ndarray:
         """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own. Raises pyproj's errors where the one
         cannot be transformed into the other; local metres are taken for the raster's own."""
         if crs is not None and not (_is_local(crs) and _is_local(self.crs)):
             points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
+            if _in_degrees(self.crs):  # rasters go on beyond 180 degrees
+                east = points[:, 0]
+                points[:, 0] = east - 360 * np.round((east.mean() - self.transform.c) / 360)
         return transformed(points, ~self.transform)
 
 
@@ -76,6 +85,13 @@ def _is_local(crs: str) -> bool:
     return CRS.from_user_input(crs).type_name == "Engineering CRS"
 
 
+@cache
+def _in_degrees(crs: str) -> bool:
+    from pyproj import CRS
+
+    return CRS.from_user_input(crs).is_geographic
+
+
 # GeoJSON
 
 
@@ -92,7 +108,7 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | Non
         text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."
     )
     # QGIS and GDAL write a CRS, though RFC 7946 does not know it.
-    crs = whole.crs.properties.name if whole.crs is not None else "EPSG:4326"
+    crs = whole.crs.properties.name if whole.crs is not None else WGS_84
     if whole.orthoscale is not None and whole.orthoscale.coordinates == PIXELS:
         place = None
     items = []
@@ -109,7 +125,7 @@ def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mappin
     if place is not None and not place.on_earth:
         place = None
     features = []
-    for polygon, properties in _features(boxes, place, None if place is None else "EPSG:4326"):
+    for polygon, properties in _features(boxes, place, in_degrees=place is not None):
         digits = 3 if place is None else 9
         ring = [[round(float(v), digits) for v in point] for point in [*polygon, polygon[0]]]
         geometry = {"type": "Polygon", "coordinates": [ring]}
@@ -162,7 +178,7 @@ def write_geopackage(
     import pyogrio.raw
     import shapely.geometry
 
-    features = list(_features(boxes, place, None))
+    features = list(_features(boxes, place))
     polygons = shapely.polygons([polygon for polygon, _ in features]) if features else np.empty(0, object)
     fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
     columns = [np.array([properties[name] for _, properties in features]) for name in fields]
@@ -193,12 +209,15 @@ def write_geopackage(
 
 
 def _features(
-    boxes: Mapping[str, Boxes], place: Georeference | None, crs: str | None
+    boxes: Mapping[str, Boxes], place: Georeference | None, in_degrees: bool = False
 ) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
     for picture, found in boxes.items():
         rows = zip(found.corners, found.xylwa, found.score, measured_notes(found), strict=True)
         for corners, row, score, more in rows:
-            polygon = corners * [1, -1] if place is None else place.to_map(corners, crs)
+            if place is None:
+                polygon = corners * [1, -1]
+            else:
+                polygon = place.to_degrees(corners) if in_degrees else place.to_map(corners)
             yield (
                 polygon,
                 {
