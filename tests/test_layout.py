@@ -29,7 +29,7 @@ from orthoscale.anchors.court_models import (
 from orthoscale.core.affine import transformed
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.tables import known_objects, standards
-from orthoscale.layout import draw
+from orthoscale.layout import draw, export
 from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
 from orthoscale.layout.place import PlacedFacility, arrange, centres, holds
@@ -310,6 +310,29 @@ def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, tu
     along = azimuth[np.argmax(length)] % 180
     assert min(abs(along - place.bearing), 180 - abs(along - place.bearing)) < 0.2
     assert made.ground.north == pytest.approx(-turned, abs=0.1)
+
+
+@pytest.mark.parametrize("crs, step", [("EPSG:32660", 0.1), ("EPSG:4326", 0.1 / 78_845)])
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_lot_on_the_180th_meridian(tmp_path, crs, step, cut):
+    """Its ring jumps from 180 to -180 or, as RFC 7946 wants it, there are two; it went around the Earth, or was not in
+    a picture in degrees that goes on beyond 180."""
+    path = projected(tmp_path / "a.tif", crs, 179.9999, 45.0, step)
+    geod = pyproj.Geod(ellps="WGS84")
+    ring = [geod.fwd(179.9999, 45.0, b, 45)[:2] for b in (45, 135, 225, 315)]
+    assert min(ring)[0] < -179 < 179 < max(ring)[0]
+    file = lot_file(tmp_path / "lot.geojson", ring)
+    if cut:
+        whole = shapely.Polygon([(x % 360, y) for x, y in ring])
+        halves = [whole & shapely.box(179, 44, 180, 46), whole & shapely.box(180, 44, 181, 46)]
+        halves[1] = shapely.transform(halves[1], lambda c: c - [360, 0])
+        file.write_text(shapely.to_geojson(shapely.MultiPolygon(halves)))
+    made = plan(path, file, ["basketball"])
+    assert made.lot.area == pytest.approx(2 * 45**2, rel=0.02)
+    export.write(made, tmp_path)
+    text = json.loads((tmp_path / "layout.geojson").read_text())
+    east = np.array(text["features"][0]["geometry"]["coordinates"][0])[:, 0]
+    assert np.ptp(east) < 0.01 and abs(east.mean()) <= 180.001
 
 
 def test_the_place_of_a_picture_may_come_from_ground_control_points(tmp_path):

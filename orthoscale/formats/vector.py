@@ -14,12 +14,12 @@ from .names import in_utf8
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 
 
-def about_meridian(places: np.ndarray) -> np.ndarray:
+def about_meridian(places: np.ndarray, about: float = 0.0) -> np.ndarray:
     """(K, 2) longitudes and latitudes [deg] of one shape that goes on beyond 180 degrees instead of around the Earth;
-    its middle lies within 180 degrees. For shapes of less than half of the Earth."""
+    its middle lies within 180 degrees of the longitude `about`. For shapes of less than half of the Earth."""
     east, north = np.asarray(places, float)[:, :2].T
-    east = np.unwrap(east, period=360)
-    return np.column_stack([east - 360 * np.round(east.mean() / 360), north])
+    east = east - 360 * np.round((east - east[0]) / 360)  # the same for the first and last of a ring
+    return np.column_stack([east - 360 * np.round((east.mean() - about) / 360), north])
 
 
 def write_layer(

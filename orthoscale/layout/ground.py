@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import LARGE, check_regular, read, read_plain
+from ..formats.vector import about_meridian
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
@@ -75,6 +76,13 @@ class MetricOrthophoto:
     def from_crs(self, coordinates: np.ndarray) -> np.ndarray:
         """(n, 2) the way back."""
         return self.to_metres(transformed(coordinates, ~self.transform))
+
+    @property
+    def longitude(self) -> float:
+        """Of its middle [deg], of one that has a place on Earth."""
+        middle = self.to_crs(self.to_metres(np.array([[self.source.width / 2, self.source.height / 2]])))
+        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(self.crs), "EPSG:4326", always_xy=True)
+        return float(there.transform(*middle[0])[0])
 
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
         """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
@@ -140,8 +148,9 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
     )
 
 
-def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
-    """All polygons of a vector file as one, and its CRS. Raises InputError."""
+def _polygons(path: Path, ground: MetricOrthophoto) -> tuple[BaseGeometry, str | None]:
+    """All polygons of a vector file as one, and its CRS. Those in degrees go on beyond 180 as the picture does, instead
+    of around the Earth. Raises InputError."""
     import pyogrio
 
     if not path.is_dir():  # some formats are folders
@@ -150,7 +159,11 @@ def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
         read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets what is sound
     try:
         meta, _, shapes, _ = pyogrio.raw.read(path)
-        parts = [shapely.make_valid(shapely.force_2d(shapely.from_wkb(s))) for s in shapes if s is not None]
+        flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
+        if ground.source.claimed.usable and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
+            there = ground.longitude
+            flat = [shapely.transform(p, lambda c: about_meridian(c, there)) if _degrees(p) else p for p in flat]
+        parts = [shapely.make_valid(part) for part in flat]
         area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
@@ -160,6 +173,11 @@ def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
     return area, meta["crs"]
 
 
+def _degrees(shape: BaseGeometry) -> bool:
+    """Whether its coordinates may be longitudes, which go on beyond 180, and latitudes."""
+    return bool((np.abs(shapely.get_coordinates(shape)) <= [360, 90]).all())
+
+
 def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
     """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
 
@@ -167,14 +185,13 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     transformed, if the picture has a place on Earth; those of a picture in local metres are taken as they are.
     Raises InputError.
     """
-    area, own = _polygons(path)
+    area, own = _polygons(path, ground)
     notes: list[str] = []
     if pixels:
         area = ground.mapped(area, ground.to_metres)
     else:
-        lon_lat = bool((np.abs(shapely.get_coordinates(area)) <= [180, 90]).all())
         # GeoJSON knows longitude and latitude alone; a file in other coordinates is read as if it were that.
-        if ground.source.claimed.usable and own and not (own == "EPSG:4326" and not lon_lat):
+        if ground.source.claimed.usable and own and not (own == "EPSG:4326" and not _degrees(area)):
             try:
                 there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
                 area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))

@@ -65,8 +65,7 @@ class Georeference:
         if crs is not None and not (_is_local(crs) and _is_local(self.crs)):
             points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
             if _in_degrees(self.crs):  # rasters go on beyond 180 degrees
-                east = points[:, 0]
-                points[:, 0] = east - 360 * np.round((east.mean() - self.transform.c) / 360)
+                points = about_meridian(points, self.transform.c)
         return transformed(points, ~self.transform)
 
 
