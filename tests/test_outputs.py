@@ -413,6 +413,12 @@ def test_geojson_has_no_longitudes_beyond_180_degrees(tmp_path, boxes):
     assert np.allclose(np.array(ring)[:, 0], -179, atol=0.01)
 
 
+def test_a_geocentric_system_claims_nothing(tmp_path):
+    """Its first two axes were taken for east and north: a wrong size was proposed for --gsd-hint."""
+    claimed = RasterSource.open(picture(tmp_path / "a.tif", "EPSG:4978", UTM)).claimed
+    assert claimed.gsd_m is None and not claimed.usable and "Earth's centre" in claimed.why
+
+
 @pytest.mark.parametrize("crs", ["EPSG:32660", "EPSG:4326"])
 def test_shapes_on_the_180th_meridian_do_not_go_around_the_earth(tmp_path, boxes, crs):
     """Those of UTM had corners at 179.99 and -179.99; boxes saved from degrees lay beyond 180 and were not found again

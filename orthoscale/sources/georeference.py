@@ -168,6 +168,8 @@ def _on_a_line(points: list[tuple[float, float]]) -> bool:
 
 def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Claim:
     system = pyproj.CRS.from_user_input(crs)
+    if system.is_geocentric:
+        return Claim(None, False, f"{system.name} has its axes from the Earth's centre: no picture lies in it")
     try:
         across, down = _ground_steps(dataset.width, dataset.height, t, system)
     except pyproj.exceptions.ProjError as error:
