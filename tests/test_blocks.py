@@ -196,7 +196,7 @@ def test_what_a_picture_of_the_ground_enlarges_does_not_count():
 
 
 def test_how_far_up_boxes_of_ground_pictures_reach_is_known_to_half_a_metre():
-    """By what half a metre more changes the sizes; boxes near the nadir, which it changes less than its share, apart."""
+    """By what half a metre more changes the sizes of boxes away from the nadir, where it changes them at all."""
     block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=40), unsure=False)
     above = block.found.planar
     plain = SweepGeometry.of(block.source, above)
