@@ -78,10 +78,15 @@ class MetricOrthophoto:
         return self.to_metres(transformed(coordinates, ~self.transform))
 
     @property
-    def longitude(self) -> float:
-        """Of its middle [deg], of one that has a place on Earth."""
+    def longitude(self) -> float | None:
+        """Of its middle [deg]; None of a picture without a place on Earth."""
+        if not self.source.claimed.usable:
+            return None
         middle = self.to_crs(self.to_metres(np.array([[self.source.width / 2, self.source.height / 2]])))
-        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(self.crs), "EPSG:4326", always_xy=True)
+        try:
+            there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(self.crs), "EPSG:4326", always_xy=True)
+        except pyproj.exceptions.ProjError:  # of the Moon, say
+            return None
         return float(there.transform(*middle[0])[0])
 
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
@@ -148,9 +153,9 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
     )
 
 
-def _polygons(path: Path, ground: MetricOrthophoto) -> tuple[BaseGeometry, str | None]:
-    """All polygons of a vector file as one, and its CRS. Those in degrees go on beyond 180 as the picture does, instead
-    of around the Earth. Raises InputError."""
+def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry, str | None]:
+    """All polygons of a vector file as one, and its CRS. Those in degrees lie about the `longitude` of a picture and go
+    on beyond 180 as it does, instead of around the Earth. Raises InputError."""
     import pyogrio
 
     if not path.is_dir():  # some formats are folders
@@ -160,9 +165,8 @@ def _polygons(path: Path, ground: MetricOrthophoto) -> tuple[BaseGeometry, str |
     try:
         meta, _, shapes, _ = pyogrio.raw.read(path)
         flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
-        if ground.source.claimed.usable and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
-            there = ground.longitude
-            flat = [shapely.transform(p, lambda c: about_meridian(c, there)) if _degrees(p) else p for p in flat]
+        if longitude is not None and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
+            flat = [shapely.transform(p, lambda c: about_meridian(c, longitude)) if _degrees(p) else p for p in flat]
         parts = [shapely.make_valid(part) for part in flat]
         area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
@@ -185,7 +189,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     transformed, if the picture has a place on Earth; those of a picture in local metres are taken as they are.
     Raises InputError.
     """
-    area, own = _polygons(path, ground)
+    area, own = _polygons(path, ground.longitude)
     notes: list[str] = []
     if pixels:
         area = ground.mapped(area, ground.to_metres)
