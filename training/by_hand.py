@@ -110,7 +110,7 @@ def choose(
     chosen = (
         (scene, vehicle) for scene, all_ in scenes.items() for vehicle in sorted(all_, key=lambda v: v[:2])[:count]
     )
-    cells = [Cell(scene, file, _to_cell(box, rng), box) for scene, (_, _, file, box) in chosen]
+    cells = [cell_about(scene, file, box, rng) for scene, (_, _, file, box) in chosen]
     return [cells[k] for k in rng.permutation(len(cells))]
 
 
@@ -121,11 +121,13 @@ def _measured_before(boxes: np.ndarray, read: Sequence[Sequence[float]]) -> np.n
     return np.asarray(apart < there[:, 3] / 2)
 
 
-def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def cell_about(scene: str, picture: Path, box: np.ndarray, rng: np.random.Generator) -> Cell:
+    """A cell of the vehicle in `box` (5,) of a picture, at a scale, place and turn by chance."""
     scale = rng.uniform(*LENGTHS) / box[2]
     turn = -box[4] + np.radians(rng.uniform(-TURN, TURN)) + np.pi * rng.integers(2)
     linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return np.c_[linear, np.array(CELL) / 2 + rng.uniform(-SHIFT, SHIFT, 2) - linear @ box[:2]]
+    shift = np.array(CELL) / 2 + rng.uniform(-SHIFT, SHIFT, 2) - linear @ box[:2]
+    return Cell(scene, picture, np.c_[linear, shift], box)
 
 
 def enlarged(cell: Cell, share: float = 1.0) -> np.ndarray:

@@ -185,16 +185,16 @@ def measured(
     wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
-        found, choice = _found(asked, request, progress, alone)
-        told(found, source)
-        answer = _of_vehicles(asked, found, method, request, wanted)
-    except TooLittleEvidence as error:
-        if method.vehicles_only:
-            raise _with_cautions(error, source) from error
         try:
+            found, choice = _found(asked, request, progress, alone)
+            told(found, source)
+            answer = _of_vehicles(asked, found, method, request, wanted)
+        except TooLittleEvidence as error:
+            if method.vehicles_only:
+                raise
             answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
-        except TooLittleEvidence as also:
-            raise _with_cautions(also, source) from also
+    except TooLittleEvidence as error:
+        raise _with_cautions(error, source) from error
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))

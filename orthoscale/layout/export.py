@@ -16,6 +16,7 @@ from ..formats.pictures import write_png
 from ..formats.vector import about_meridian, write_layer
 from ..sources.gdal import guarded
 from . import draw
+from .ground import to_degrees
 from .plan import Layout, document, prompt
 
 TILE_PX = 256
@@ -54,9 +55,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     write_layer(package, "lines", painted, [{"number": k} for k, _ in drawn], "LineString", crs)
     on_earth = ground.source.claimed.usable
     if on_earth:
-        import pyproj
-
-        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(ground.crs), "EPSG:4326", always_xy=True)
+        there = to_degrees(ground.crs)
         areas = [shapely.transform(a, lambda c: about_meridian(np.column_stack(there.transform(*c.T)))) for a in areas]
     write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", "EPSG:4326" if on_earth else None)
 

@@ -84,7 +84,7 @@ class MetricOrthophoto:
             return None
         middle = self.to_crs(self.to_metres(np.array([[self.source.width / 2, self.source.height / 2]])))
         try:
-            there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(self.crs), "EPSG:4326", always_xy=True)
+            there = to_degrees(self.crs)
         except pyproj.exceptions.ProjError:  # of the Moon, say
             return None
         return float(there.transform(*middle[0])[0])
@@ -92,6 +92,11 @@ class MetricOrthophoto:
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
         """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
         return shapely.transform(shape, to)
+
+
+def to_degrees(crs: Any) -> pyproj.Transformer:
+    """From map coordinates in `crs` to longitude and latitude (WGS 84). Raises pyproj's errors where there is none."""
+    return pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(crs), "EPSG:4326", always_xy=True)
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
@@ -123,7 +128,7 @@ def _north(source: RasterSource, transform: Affine) -> tuple[float, tuple[str, .
     x, y = transformed(middle, transform)[0]
     notes: tuple[str, ...] = ()
     if source.claimed.usable:
-        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(source.claimed.crs), "EPSG:4326", always_xy=True)
+        there = to_degrees(source.claimed.crs)
         lon, lat = there.transform(x, y)
         ahead = there.transform(lon, lat + 1e-4, direction="INVERSE")
     else:

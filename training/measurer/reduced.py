@@ -27,7 +27,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import Measurer
-from training.by_hand import BY_HAND, Cell, _to_cell, measured, read_answers, store, write_sheets
+from training.by_hand import BY_HAND, Cell, cell_about, measured, read_answers, store, write_sheets
 from training.data import as_stored
 from training.evaluate import measured_scenes, middle
 
@@ -83,21 +83,20 @@ def reduced(pixels: np.ndarray, factor: float, way: Way) -> np.ndarray:
     return np.asarray(np.clip(np.round(255 * way(small)), 0, 255)).astype(np.uint8)
 
 
-def window(picture: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels around `box` (5,), and the box in them."""
+def window(picture: Path, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels of a picture around `box` (5,), BGR, and the box in them."""
     half = int(AROUND * box[2])
     x, y = (max(int(c) - half, 0) for c in box[:2])
-    return picture[y : y + 2 * half, x : x + 2 * half], box - [x, y, 0, 0, 0]
+    return as_stored(picture)[y : y + 2 * half, x : x + 2 * half].copy(), box - [x, y, 0, 0, 0]
 
 
 def made_small(
-    picture: np.ndarray, box: np.ndarray, factor: float, way: str = AS_BANEPA
+    pixels: np.ndarray, box: np.ndarray, factor: float, way: str = AS_BANEPA
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels around `box` (5,), `reduced` in one of WAYS, and the box in them."""
-    pixels, there = window(picture, box)
-    small = reduced(pixels, factor, WAYS[way])
-    shrunk = np.array([small.shape[1] / pixels.shape[1], small.shape[0] / pixels.shape[0]])
-    return small, there * [*shrunk, *[np.sqrt(shrunk.prod())] * 2, 1]
+    """A `window` and the box in it, `reduced` in one of WAYS."""
+    fewer = reduced(pixels, factor, WAYS[way])
+    shrunk = np.array([fewer.shape[1] / pixels.shape[1], fewer.shape[0] / pixels.shape[0]])
+    return fewer, box * [*shrunk, *[np.sqrt(shrunk.prod())] * 2, 1]
 
 
 def sheets(data: Path, places: Sequence[str], beside: str, count: int, seed: int, folder: Path) -> None:
@@ -114,16 +113,16 @@ def sheets(data: Path, places: Sequence[str], beside: str, count: int, seed: int
         if scene.name == beside:
             some = [v for v in vehicles if v[1][2] < SMALL[1]]
             chosen = [some[k] for k in rng.permutation(len(some))[: 2 * count * len(places) // 3]]
-            cells += [Cell(scene.name, path, _to_cell(box, rng), box) for path, box in chosen]
+            cells += [cell_about(scene.name, path, box, rng) for path, box in chosen]
         elif scene.name in places:
             large = [v for v in vehicles if v[1][2] > LARGE]
             for n, k in enumerate(rng.permutation(len(large))[:count]):
                 path, box = large[k]
                 if n % 3 == 0:
-                    cells.append(Cell(scene.name, path, _to_cell(box, rng), box))
+                    cells.append(cell_about(scene.name, path, box, rng))
                     continue
                 factor = rng.uniform(*SMALL) / box[2]
-                pixels, there = made_small(as_stored(path), box, factor)
+                pixels, there = made_small(*window(path, box), factor)
                 name = f"reduced_{len(sources):03d}.png"
                 cv2.imwrite(str(folder / name), pixels)
                 sources[name] = {
@@ -131,7 +130,7 @@ def sheets(data: Path, places: Sequence[str], beside: str, count: int, seed: int
                     "label": box.round(2).tolist(),
                     "factor": factor,
                 }
-                cells.append(Cell(scene.name, folder / name, _to_cell(there, rng), there))
+                cells.append(cell_about(scene.name, folder / name, there, rng))
     (folder / SOURCES).write_text(json.dumps(sources))
     write_sheets(folder, [cells[k] for k in rng.permutation(len(cells))])
 
@@ -167,16 +166,16 @@ def small(measurer: Measurer, data: Path, places: Sequence[str]) -> str:
     all vehicles, by length and way."""
     lines = [f"{'':22s}" + "".join(f"{length:14d} px" for length in LENGTHS)]
     vehicles = [
-        (p.picture.path, box) for scene in measured_scenes(data) if scene.name in places
+        window(p.picture.path, box) for scene in measured_scenes(data) if scene.name in places
         for p in scene.pictures for box in p.vehicles if box[2] > LARGE
     ]  # fmt: skip
-    before = [told_size(measurer, *window(as_stored(path), box)) for path, box in vehicles]
+    before = [told_size(measurer, *vehicle) for vehicle in vehicles]
     for way in WAYS:
         cells = []
         for length in LENGTHS:
             larger = []
-            for (path, box), sharp in zip(vehicles, before, strict=True):
-                after = told_size(measurer, *made_small(as_stored(path), box, length / box[2], way))
+            for (pixels, box), sharp in zip(vehicles, before, strict=True):
+                after = told_size(measurer, *made_small(pixels, box, length / box[2], way))
                 larger.append(length * (after - sharp))
             cells.append("{:+8.2f} {:+5.2f}".format(*np.nanmedian(larger, axis=0)))
         lines.append(f"{way:22s}" + "   ".join(cells))
@@ -196,23 +195,24 @@ def told(measurer: Measurer, data: Path, readers: Sequence[str]) -> str:
 
     lines = []
     for reader in readers:
-        again, small = (
+        again, read_small = (
             json.loads(BY_HAND.with_name(f"read_{name}_{reader}.json").read_text())["vehicles"]
             for name in ("again", "reduced")
         )
-        places = {row["scene"] for row in small}
+        places = {row["scene"] for row in read_small}
         habit, changed, reduced_ones, doubtful = [], [], [], []
         for row in again:
-            picture, box, read = as_stored(data / row["picture"]), np.array(row["label"]), np.array(row["read"][2:4])
+            box, read = np.array(row["label"]), np.array(row["read"][2:4])
             if row["scene"] in places:
                 habit.append(np.log(read / box[2:4]))
             else:
-                doubtful.append(np.log(told_size(measurer, *window(picture, box)) * box[2] / read))
-        small_habit = [np.log(np.array(row["read"]) * row["label"][2] / row["label"][2:4]) for row in small]
-        for row in small:
-            picture, box = as_stored(data / row["picture"]), np.array(row["label"])
-            after = told_size(measurer, *made_small(picture, box, row["factor"]))
-            changed.append(np.log(after / told_size(measurer, *window(picture, box))))
+                told_there = told_size(measurer, *window(data / row["picture"], box))
+                doubtful.append(np.log(told_there * box[2] / read))
+        small_habit = [np.log(np.array(row["read"]) * row["label"][2] / row["label"][2:4]) for row in read_small]
+        for row in read_small:
+            large = window(data / row["picture"], np.array(row["label"]))
+            after = told_size(measurer, *made_small(*large, row["factor"]))
+            changed.append(np.log(after / told_size(measurer, *large)))
             reduced_ones.append(np.log(after / row["read"]))
         lines += [
             line(f"{reader.upper()} against readers before, as they are", habit),
