@@ -151,7 +151,7 @@ def test_of_two_scales_about_as_near_the_sharper_one_is_meant():
 
 def test_without_vehicles_two_pieces_of_one_kind_are_too_little():
     two = [Evidence("tape", 0.1, 0.01, f"tape {k}") for k in "ab"]
-    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: tape a, tape b"):
+    with pytest.raises(TooLittleEvidence, match="two kinds of evidence that agree .*; there is: tape a, tape b"):
         measured_without_vehicles(two, "m/px", "DE", 2, {})
     court = Evidence("court", 0.1, 0.01, "a court")
     assert measured_without_vehicles([two[0], court], "m/px", "DE", 2, {}).scale.value == pytest.approx(0.1)

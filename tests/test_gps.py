@@ -16,12 +16,13 @@ from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
 from orthoscale.core.pooling.posterior import Z90, Posterior
-from orthoscale.errors import UsageError
+from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 
 SCALE = 8.0  # [m per unit]
+DISTANCE = "0,0,0 4,0,0 {:.3f}"  # of two points 4 units apart, in metres
 
 
 def lawnmower(count, extent):
@@ -208,6 +209,23 @@ def test_positions_that_contradict_the_vehicles_are_not_averaged(tmp_path):
     save_detections(tagged(tmp_path, 2 * UNIT), tmp_path / "boxes.json")
     found = orthoscale.estimate(tmp_path, **usual(tmp_path))
     assert found.scale.conflict > 3 and found.scale.verdict == "unusable"
+
+
+def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles(flight, tmp_path):
+    """Either alone does not: nothing would show that it is mistaken."""
+    (tmp_path / "none.json").write_text("{}")
+    options = {**usual(flight), "detections": tmp_path / "none.json"}
+    with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*there is: GPS positions"):
+        orthoscale.estimate(flight, **options)
+    with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*there is: the known distance"):
+        orthoscale.estimate(flight, **options, known_distance=[DISTANCE.format(4 * UNIT)], gps=False)
+    done = orthoscale.fix(flight, tmp_path / "out", **options, known_distance=[DISTANCE.format(4 * UNIT)])
+    assert done.scale.value == pytest.approx(UNIT, rel=0.01) and done.scale.vehicles_used == 0
+    assert any("no vehicles: the scale rests on" in remark.text for remark in done.remarks)
+    assert (tmp_path / "out" / "sim3.json").exists()
+    with pytest.raises(EvidenceDisagrees, match="conflict"):
+        orthoscale.fix(flight, tmp_path / "far", **options, known_distance=[DISTANCE.format(5 * UNIT)])
+    assert not (tmp_path / "far").exists()
 
 
 def test_a_note_says_why_positions_do_not_count(tmp_path):

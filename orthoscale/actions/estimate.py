@@ -192,7 +192,7 @@ def measured(
         except TooLittleEvidence as error:
             if method.vehicles_only:
                 raise
-            answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
+            answer = _without_vehicles(asked, doubts(found), method, request, wanted, error)
     except TooLittleEvidence as error:
         raise _with_cautions(error, source) from error
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
@@ -262,7 +262,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     return _Answer(by_anchors, with_anchors, anchors, match)
 
 
-def _of_anchors(
+def _without_vehicles(
     asked: Opened,
     lost: Mapping[str, int],
     method: Method,
@@ -270,7 +270,8 @@ def _of_anchors(
     wanted: Wanted,
     error: TooLittleEvidence,
 ) -> _Answer:
-    """The scale by anchors and the map, where vehicles gave only the `error`; it is raised where these do not suffice.
+    """The scale by what is given, anchors and the map, where vehicles gave only the `error`; it is raised where these
+    do not suffice.
 
     lost : boxes that are no vehicles, by reason.
     """
@@ -280,7 +281,7 @@ def _of_anchors(
         method = replace(method, evidence=(*method.evidence, *match.evidence))
     anchors = at_any_scale(asked.source, rough, wanted, known=len({e.kind for e in method.evidence}))
     method = replace(method, anchors=anchors.votes)
-    return _Answer(_by_anchors(asked.source, asked.fleet, method, lost, error), method, anchors, match)
+    return _Answer(_by_the_rest(asked.source, asked.fleet, method, lost, error), method, anchors, match)
 
 
 def _by_vehicles(
@@ -298,13 +299,14 @@ def _by_vehicles(
         ) from error
 
 
-def _by_anchors(
+def _by_the_rest(
     source: Source, fleet: Fleet, method: Method, lost: Mapping[str, int], error: TooLittleEvidence
 ) -> Measurement:
-    """What anchors give, where vehicles gave only the `error`; it is raised where anchors do not suffice either."""
-    if not method.anchors:
-        raise error
+    """What all other evidence gives, where vehicles gave only the `error`; it is raised where that does not suffice
+    either."""
     evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
+    if not evidence:
+        raise error
     dims = 2 if source.plan is not None else 3
     try:
         return measured_without_vehicles(evidence, source.unit, fleet.code, dims, lost)

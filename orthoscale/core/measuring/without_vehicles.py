@@ -1,4 +1,4 @@
-"""The scale of a source with too few vehicles: from anchors of at least two kinds that agree."""
+"""The scale of a source with too few vehicles: from at least two kinds of other evidence that agree."""
 
 from __future__ import annotations
 
@@ -27,16 +27,14 @@ def measured_without_vehicles(
     lost : boxes that are no vehicles, by reason. Raises TooLittleEvidence where not two kinds agree on a useful scale.
     """
     if len({e.kind for e in evidence}) < FEWEST_KINDS:
-        kinds = ", ".join(e.says for e in evidence) or "none"
-        raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
+        raise _too_little(", ".join(e.says for e in evidence) or "none")
     together = combined(None, {}, evidence)
     value, low, high = together.summary
     judged = together.support.judged(together.posterior.spread)
     said = verdict(judged, False, together.conflict > 0, together.support.doubted)
     agreeing = _agreeing(together)
     if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
-        kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
-        raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
+        raise _too_little("; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence))
     remark = Remark(CAUTION, f"no vehicles: the scale rests on {' and '.join(agreeing)}")
     scale = Scale(
         value=value,
@@ -58,6 +56,13 @@ def measured_without_vehicles(
     none = np.empty((0, 2))
     votes = gather(none, np.empty(0), np.empty((0, dims)), np.empty(0), repeated=False)
     return Measurement(Boxes.empty(), np.empty(0, str), votes, scale, dict(lost), none, projection="none")
+
+
+def _too_little(known: str) -> TooLittleEvidence:
+    return TooLittleEvidence(
+        f"without vehicles, two kinds of evidence that agree are needed (anchors, --known-distance, --ground-control, "
+        f"--against, GPS positions); there is: {known}"
+    )
 
 
 def _agreeing(together: Combined) -> list[str]:
