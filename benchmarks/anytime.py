@@ -23,7 +23,7 @@ from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.core.scale import Scale
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.coarse_pass import FAR, FAR_TILES, UNPROMISING, hint
-from orthoscale.detect.detector import Detector
+from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Found, Stop, sweep_twice
@@ -46,7 +46,7 @@ def main() -> None:
     source, fleet = open_source(a.raster), load_fleet(a.fleet)
     plan, (picture,) = source.plan, source.pictures
     assert plan is not None, "an orthophoto"
-    detector = Detector(threads=1, confirmed=True)  # as orthophotos are swept
+    detector = Detector(threads=1, passes=Passes.CONFIRMED)  # as orthophotos are swept
     every, _ = find_vehicles([picture], detector, a.zoom, effort=Effort(exhaustive=True))
     zoom = every.zoom
     jobs = [(picture, tile) for tile in tiles(picture, zoom)]
@@ -71,7 +71,7 @@ def main() -> None:
 
         def seen_before(order: np.ndarray, stop: Stop | None = None) -> Found:
             """A sweep of which every look is in the cache."""
-            return sweep_twice(jobs, order, lambda _: iter(()), cache, stop, sure=detector.sure, second_measures=False)
+            return sweep_twice(jobs, order, lambda _: iter(()), cache, stop, sure=detector.sure, passes=detector.passes)
 
         whole = scale_of(seen_before(np.arange(len(jobs))))
         for seed in range(a.seeds):

@@ -54,7 +54,7 @@ MUTANTS = (
     ),
     Mutant(
         "detect/sweep.py",
-        "np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])",
+        "np.sqrt(xylwa[:, 2:4] * coarse.xylwa[j, 2:4])",
         "xylwa[:, 2:4]",
         f"{CHOICES}test_a_vehicles_box_is_the_geometric_mean_of_both_passes",
     ),

@@ -11,7 +11,7 @@ from support.drawings import CARD, Drawing, RectangleDetector, car_park
 
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
-from orthoscale.detect.detector import Detector
+from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.tiles import look_twice, place, read, sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
@@ -169,8 +169,9 @@ def test_the_shipped_detector_is_small_and_says_what_it_is():
     assert card.training and card.licence
 
 
-def test_the_finder_takes_the_second_look():
-    alone, both = Detector(threads=1), Detector(threads=1, confirmed=True)
+def test_the_finder_takes_the_second_look(monkeypatch):
+    monkeypatch.setattr(Detector, "takes_parts", False)
+    alone, both = Detector(threads=1), Detector(threads=1, passes=Passes.CONFIRMED)
     finder = both.confirming
     assert (both.sha256, both.card) == (alone.sha256, alone.card) and finder.sha256 != alone.sha256
     assert both.sure == finder.card.sure and finder.card.name in both.name

@@ -13,7 +13,7 @@ from orthoscale.anchors import kinds
 from orthoscale.anchors.search import Sought, search
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Tile
-from orthoscale.detect.detector import Detector
+from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.filled import Filled, filled
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.tiles import tiles
@@ -57,7 +57,7 @@ class Mosaic:
 class Cars:
     """A detector that sees cars 45 px long all over a block."""
 
-    confirming, sha256, sure, name = None, "", 0.0, "cars"
+    confirming, passes, sha256, sure, name = None, Passes.FINE_FIRST, "", 0.0, "cars"
 
     def __init__(self, picture, count=150):
         left, top, side = picture.blocks[0]

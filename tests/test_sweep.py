@@ -21,6 +21,7 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
 from orthoscale.detect.cache import CODE, TileCache, cache_key
 from orthoscale.detect.coarse_pass import UNPROMISING, coarse_pass
+from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Stop, sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
@@ -176,10 +177,67 @@ def test_two_networks_must_agree_and_the_first_measures():
         return Boxes(np.array([car, pond]) * [1, 1, 0.9, 0.8, 1], [0.5, 0.9]).mapped(image.shape[1] / 500)
 
     looks = look_twice(picture, tile, lambda _: Boxes([car, shed], [0.4, 0.9]), smaller)
-    found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], sure=0.44, second_measures=False)
+    found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], sure=0.44, passes=Passes.CONFIRMED)
     assert found.boxes["drawing"].xylwa == pytest.approx(np.array([car]))
     assert found.boxes["drawing"].score == pytest.approx([0.45])
     assert found.doubtful["drawing"].xylwa == pytest.approx(np.array([shed]))
+
+
+class Watched(Detector):
+    """The shipped detector, which remembers the sizes (height, width) of what it was shown."""
+
+    def see(self, image, threshold=None):
+        self.shown = [*getattr(self, "shown", []), image.shape[:2]]
+        return super().see(image, threshold)
+
+
+@pytest.fixture(scope="module")
+def few_vehicles():
+    """A picture with vehicles in one corner, and a tile of all of it."""
+    height, width = 768, 1024
+    image = np.full((height, width, 3), 90, np.uint8)
+    image += np.random.default_rng(0).integers(0, 20, image.shape, np.uint8)
+    for x in (150, 190, 230):
+        cv2.rectangle(image, (x, 120), (x + 16, 158), (225, 225, 225), -1)
+        cv2.rectangle(image, (x + 2, 130), (x + 14, 138), (40, 40, 40), -1)
+    picture = Drawing(width, height, Boxes.empty())
+    picture.read = lambda *_: image
+    return picture, Tile(0, 0, width, height, width, height)
+
+
+@pytest.mark.parametrize("passes", [Passes.FINE_FIRST, Passes.COARSE_FIRST])
+def test_the_second_pass_looks_around_what_the_first_saw_and_sees_the_same(few_vehicles, passes, monkeypatch):
+    """In a part of the tile, whichever comes first; the vehicles are those of two passes over all of it."""
+    picture, tile = few_vehicles
+    detector = Watched(passes=passes, threads=1)
+    part = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, look_twice(picture, tile, detector))])
+    first, second = detector.shown
+    assert (first == (768, 1024)) == (passes == Passes.FINE_FIRST)
+    assert np.prod(second) < 0.3 * np.prod({(768, 1024): (543, 724), (543, 724): (768, 1024)}[first])
+    monkeypatch.setattr(Watched, "takes_parts", False)
+    whole = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, look_twice(picture, tile, detector))])
+    assert len(whole.boxes["drawing"]) == 3
+    assert part.boxes["drawing"].xylwa == pytest.approx(whole.boxes["drawing"].xylwa, rel=0.01, abs=0.01)
+
+
+def test_a_network_looks_coarsely_first_where_it_is_told_to(few_vehicles):
+    """And no more where that shows nothing: at half the cost of the fine pass."""
+    picture, tile = few_vehicles
+    empty = Drawing(1024, 768, Boxes.empty())
+    empty.read = lambda *_: np.random.default_rng(0).integers(90, 110, (768, 1024, 3)).astype(np.uint8)
+    for passes, size in ((Passes.COARSE_FIRST, (543, 724)), (Passes.FINE_FIRST, (768, 1024))):
+        detector = Watched(passes=passes, threads=1)
+        look_twice(empty, tile, detector)
+        assert detector.shown == [size]
+
+
+def test_what_the_first_pass_alone_sees_is_doubtful():
+    shed, pond = [90, 90, 41, 18, 1.0], [300, 90, 39, 16, 0.4]
+    looks = Looks(Boxes([shed], [0.9]), Boxes([pond], [0.9]))
+    jobs = [(Drawing(500, 400, Boxes.empty()), Tile(0, 0, 500, 400, 500, 400))]
+    for passes, alone in ((Passes.CONFIRMED, shed), (Passes.FINE_FIRST, shed), (Passes.COARSE_FIRST, pond)):
+        found = sweep_twice(jobs, np.arange(1), lambda _: [(0, looks)], passes=passes)
+        assert found.doubtful["drawing"].xylwa == pytest.approx(np.array([alone]))
 
 
 def test_promising_tiles_are_those_that_show_something_from_afar():
@@ -359,7 +417,7 @@ def test_code_of_every_kind_of_picture_is_part_of_the_key():
 def test_the_key_holds_the_input_and_the_settings(picture_file):
     class Other(RectangleDetector):
         sha256 = "b" * 64
-        confirming = None
+        confirming, passes = None, Passes.FINE_FIRST
         layout = None
 
     detector = Other()
@@ -368,10 +426,12 @@ def test_the_key_holds_the_input_and_the_settings(picture_file):
     others = {cache_key([picture_file], detector, 1.1)}
     detector.sha256 = "c" * 64
     others.add(cache_key([picture_file], detector, 1.0))
-    detector.sha256 = "b" * 64
+    detector.sha256, detector.passes = "b" * 64, Passes.COARSE_FIRST
+    others.add(cache_key([picture_file], detector, 1.0))
+    detector.passes = Passes.FINE_FIRST
     picture_file.fingerprint = lambda: "0" * 64
     others.add(cache_key([picture_file], detector, 1.0))
-    assert len(others) == 3 and key not in others
+    assert len(others) == 4 and key not in others
     assert cache_key([Drawing(100, 100, Boxes.empty())], detector, 1.0) is None, "content unknown: nothing is kept"
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.detector import Detector
+from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
@@ -115,7 +115,7 @@ def test_only_promising_zooms_are_looked_at_more_widely():
 class Seen:
     """A detector that sees boxes of a picture wherever they are usable; those with chance below 1 now and then."""
 
-    confirming = None
+    confirming, passes = None, Passes.FINE_FIRST
 
     def __init__(self, picture, boxes, chance):
         self.picture, self.boxes, self.chance = picture, boxes, np.asarray(chance)

@@ -41,6 +41,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
+from orthoscale.detect.detector import Passes
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import TILE_BORDER, look_twice, sweep, tiles
 from orthoscale.fleets import load_fleet
@@ -307,7 +308,8 @@ def twice_seen(
     """
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     looks = ((number, look_twice(*job, detect, confirm)) for number, job in enumerate(jobs))
-    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, second_measures=confirm is None).boxes
+    passes = Passes.CONFIRMED if confirm else Passes.FINE_FIRST
+    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, passes=passes).boxes
 
 
 def evaluate(

@@ -33,7 +33,7 @@ from ..core.progress import Progress
 from ..core.remarks import CAUTION, REFUSAL
 from ..core.source import GpsScale, Source
 from ..core.verdicts import UNUSABLE
-from ..detect.detector import Detector
+from ..detect.detector import Detector, Passes
 from ..detect.find import Effort
 from ..detect.refine import refined
 from ..detect.workers import worker_count
@@ -352,8 +352,10 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
     path = None if request.detector is None else Path(request.detector)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = effort_of(request).threads_each if path is None else 0
-    confirmed = source.plan is not None and request.confirms
-    return Detector(path, request.decoder, request.vehicle_classes, threads, confirmed)
+    passes = Passes.COARSE_FIRST
+    if source.plan is not None:
+        passes = Passes.CONFIRMED if request.confirms else Passes.FINE_FIRST
+    return Detector(path, request.decoder, request.vehicle_classes, threads, passes)
 
 
 def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:

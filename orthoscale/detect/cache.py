@@ -57,6 +57,7 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
     settings = {
         "detector": [[each.sha256, repr(each.card), repr(each.layout)] for each in detectors],
         "zoom": [zoom, CONFIRMING_ZOOM],
+        "passes": detector.passes,
         "tiles": [TILE, OVERLAP, TILE_BORDER],
     }
     return content_key(pictures, settings)

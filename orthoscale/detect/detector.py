@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,20 @@ IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of
 MOST_BOXES = 10_000
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
+
+
+class Passes(StrEnum):
+    """How the two passes over a picture are taken. What the first one alone sees is `doubtful`; the second may look
+    only where the first saw anything.
+
+    CONFIRMED : the fine one by the detector, the coarse one by the shipped FINDER, which confirms and does not measure.
+    FINE_FIRST : both by the detector. COARSE_FIRST : both by it, the one at half the cost first. A coarse pass makes
+    half as many mistakes, so this is for many frames, where no share of confirmed boxes is judged by.
+    """
+
+    CONFIRMED = "confirmed"
+    FINE_FIRST = "fine first"
+    COARSE_FIRST = "coarse first"
 
 
 @dataclass(frozen=True)
@@ -97,9 +112,8 @@ class Detector:
     The shipped network runs in this process. Any other runs in one of its own, with limits on memory and time, and
     looks at one image at a time (`foreign.Worker`).
 
-    settings : (path, decoder, vehicle_classes, confirmed) with which another process makes the same detector.
-    confirming : the detector that takes the second look at a tile, which then only says whether there is a vehicle;
-        None where it looks twice itself.
+    settings : (path, decoder, vehicle_classes, passes) with which another process makes the same detector.
+    confirming : the detector that takes the coarse pass, if `passes` are CONFIRMED; else None.
     notes : what its user should know of what it found.
     """
 
@@ -109,7 +123,7 @@ class Detector:
         decoder: str | None = None,
         vehicle_classes: Sequence[str] = (),
         threads: int = 0,
-        confirmed: bool = False,
+        passes: Passes = Passes.FINE_FIRST,
         shipped: str = SHIPPED,
     ):
         """Load a network once.
@@ -118,11 +132,12 @@ class Detector:
         decoder : the form of its outputs (`detect.output_forms.DECODERS`), where it is not to be recognised.
         vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
         threads : work on one image together; 0 for as many as there are cores.
-        confirmed : the second look is the shipped FINDER's.
+        passes : how a sweep takes its two passes.
         Raises InputError, UsageError.
         """
-        self.settings = (path, decoder, tuple(vehicle_classes), confirmed)
-        self.confirming = Detector(threads=threads, shipped=FINDER) if confirmed else None
+        self.settings = (path, decoder, tuple(vehicle_classes), passes)
+        self.confirming = Detector(threads=threads, shipped=FINDER) if passes == Passes.CONFIRMED else None
+        self.passes = passes
         self.notes: list[str] = []
         self.path, content, self._network = load_network(path, shipped, threads)
         path = self.path
@@ -150,6 +165,12 @@ class Detector:
     def sure(self) -> float:
         """The mean confidence of two looks from which a vehicle counts."""
         return (self.confirming or self).card.sure
+
+    @property
+    def takes_parts(self) -> bool:
+        """Whether it sees in a part of an image what it sees there in the whole, at less cost: our networks do; others
+        may have inputs of one size, or look at the whole image for each box."""
+        return isinstance(self._network, _Shipped)
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""

@@ -119,7 +119,7 @@ def find_vehicles(
             stop=stop,
             progress=None if progress is None else partial(progress, "Finding vehicles"),
             sure=detector.sure,
-            second_measures=detector.confirming is None,
+            passes=detector.passes,
         )
     kept = _without(detections(found), WHY_EQUAL, _equal_things)
     if len(pictures) == 1:

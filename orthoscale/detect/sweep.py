@@ -11,6 +11,7 @@ from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Swept, Tile
 from ..core.source import Picture
 from .cache import TileCache
+from .detector import Passes
 from .tiles import Looks
 from .workers import Visit
 
@@ -22,8 +23,8 @@ REPEATED = "the others show the same ground again"
 
 @dataclass(frozen=True)
 class Found:
-    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does, or
-    both without being sure. A box's score is the mean of both passes'.
+    """Vehicles by picture name [px of the picture]: `boxes` that both passes show; `doubtful` that the first one alone
+    does, or both without being sure. A box's score is the mean of both passes'.
 
     objects : those of a standard size that both looks show, by picture name and kind.
     """
@@ -77,14 +78,14 @@ def sweep_twice(
     stop: Stop | None = None,
     progress: Callable[[int, int], None] | None = None,
     sure: float = 0.0,
-    second_measures: bool = True,
+    passes: Passes = Passes.FINE_FIRST,
 ) -> Found:
     """Look at the tiles `jobs` in `order`, all of them or until `stop`.
 
     order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array.
     `progress(done, total)` counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the
-    mean score of its two looks is at least `sure`; its size is the geometric mean of theirs, or that of the first alone
-    where not `second_measures`.
+    mean score of its two passes is at least `sure`; its size is the geometric mean of theirs, or that of the fine one
+    where `passes` are CONFIRMED.
     """
     looks: dict[int, Looks] = {}
     cached = steps = 0
@@ -105,7 +106,7 @@ def sweep_twice(
                 cache.put(*jobs[number], seen)
             if progress:
                 progress(len(looks), expected)
-        found = _assembled(jobs, looks, cached, sure, second_measures)
+        found = _assembled(jobs, looks, cached, sure, passes)
         if stop is None or len(looks) == len(jobs):
             return found
         spread = stop.spread(found)
@@ -115,7 +116,7 @@ def sweep_twice(
 
 
 def _assembled(
-    jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float, second_measures: bool
+    jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float, passes: Passes
 ) -> Found:
     """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
     names = list(dict.fromkeys(picture.name for picture, _ in jobs))
@@ -129,22 +130,24 @@ def _assembled(
             others[name].setdefault(kind, []).append(pair)
     boxes, doubtful, objects = {}, {}, {}
     for name in names:
-        boxes[name], doubtful[name] = _in_both(pairs[name], sure, second_measures)
-        both = {kind: _in_both(seen, sure, second_measures)[0] for kind, seen in others[name].items()}
+        boxes[name], doubtful[name] = _in_both(pairs[name], sure, passes)
+        both = {kind: _in_both(seen, sure, passes)[0] for kind, seen in others[name].items()}
         objects[name] = {kind: found for kind, found in both.items() if len(found)}
     swept = Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached, len(names))
     return Found(boxes, doubtful, swept, {name: kinds for name, kinds in objects.items() if kinds})
 
 
-def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float, second_measures: bool) -> tuple[Boxes, Boxes]:
-    """Boxes that both passes over some tiles show, `sure` enough together, and the others of the first one."""
-    first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
-    i, j, _ = matched(first, second, SAME_VEHICLE)
-    xylwa = first.xylwa[i].copy()
-    if second_measures:
-        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
-    score = (first.score[i] + second.score[j]) / 2
+def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float, passes: Passes) -> tuple[Boxes, Boxes]:
+    """Boxes that the fine and the coarse pass over some tiles both show, `sure` enough together, and the others of the
+    one that was the first."""
+    fine, coarse = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
+    i, j, _ = matched(fine, coarse, SAME_VEHICLE)
+    xylwa = fine.xylwa[i].copy()
+    if passes != Passes.CONFIRMED:
+        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * coarse.xylwa[j, 2:4])
+    score = (fine.score[i] + coarse.score[j]) / 2
     believed = score >= sure
+    first, paired = (coarse, j) if passes == Passes.COARSE_FIRST else (fine, i)
     alone = np.ones(len(first), bool)
-    alone[i[believed]] = False
+    alone[paired[believed]] = False
     return Boxes(xylwa[believed], score[believed]), first[alone]

@@ -65,7 +65,7 @@ def _standing(
     jobs = [(pictures[k], tile) for k, tile in sample(pictures, zoom_for(length, detector.card), seed)]
     with ExitStack() as open_things:
         visit = open_things.enter_context(visitor(detector, workers, None))
-        found = sweep_twice(jobs, np.arange(len(jobs)), visit, sure=detector.sure, second_measures=False)
+        found = sweep_twice(jobs, np.arange(len(jobs)), visit, sure=detector.sure, passes=detector.passes)
     boxes, doubtful = (Boxes.concatenate(list(some.values())) for some in (found.boxes, found.doubtful))
     sure, unsure = (int((np.abs(np.log(some.length / length)) < near).sum()) for some in (boxes, doubtful))
     return sure**2 / (sure + unsure + 1)

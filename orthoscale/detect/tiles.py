@@ -15,23 +15,27 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
 from ..system.threads import Threads
-from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector
+from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
 from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
 TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 TILE_SIZE = 600  # [byte] that a tile takes while it waits for its turn
-# The second look, half an octave coarser: half the pixels, another view of each mistake.
+# The coarse pass, half an octave coarser: half the pixels, another view of each mistake.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
+# What the second pass sees around what the first saw [px of its input]: the rest of the vehicle, and as much again.
+PART_BORDER = 96
+PART_GRID = 128  # on multiples of it parts of a tile begin and end [px of the input]: few sizes, and whole strides
 
 Detect = Callable[[np.ndarray], Boxes]
 
 
 @dataclass(frozen=True)
 class Looks:
-    """Whole vehicles that two passes over one tile found, the second at CONFIRMING_ZOOM [px of the picture].
+    """Whole vehicles that two passes over one tile found, one at its zoom and one at CONFIRMING_ZOOM times that [px of
+    the picture].
 
-    objects : whole objects of a standard size, by kind, that the first and the second look found.
+    objects : whole objects of a standard size, by kind, that the fine and the coarse pass found.
     """
 
     fine: Boxes
@@ -85,29 +89,64 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
 def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
     """Two passes over one tile, whose pixels are read once. A tile of one grey (no data) is left out.
 
-    confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself.
+    Only what both show counts, and most of many surveys is empty: the second one looks only around what the first saw.
+    A Detector says which is the first (`Passes`). confirm : takes the coarse pass; by default the detector that
+    confirms `detect`, or `detect` itself.
     """
     image = read(picture, tile)
     if one_grey(image):
         return Looks(Boxes.empty(), Boxes.empty())
-    first = _seen(detect, image)
-    if not any(map(len, first.values())):  # only what both show counts, and most of many surveys is empty
-        return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
-    coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    confirm = confirm or (detect.confirming if isinstance(detect, Detector) else None)
+    fine = _Pass(detect, image)
+    coarse = _Pass(confirm or detect, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+    if isinstance(detect, Detector) and detect.passes == Passes.COARSE_FIRST:
+        seen_coarsely = coarse.whole()
+        seen_finely = fine.around(seen_coarsely, coarse)
+    else:
+        seen_finely = fine.whole()
+        seen_coarsely = coarse.around(seen_finely, fine)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    second = _seen(confirm or (detect.confirming if isinstance(detect, Detector) else None) or detect, coarse)
     objects = {
-        kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
-        for kind, boxes in first.items()
-        if kind != VEHICLES and kind in second
+        kind: (place(boxes, tile, CUT_OBJECT), place(seen_coarsely[kind], coarse_tile, CUT_OBJECT))
+        for kind, boxes in seen_finely.items()
+        if kind != VEHICLES and kind in seen_coarsely
     }
-    return Looks(place(first[VEHICLES], tile), place(second[VEHICLES], coarse_tile), objects)
+    return Looks(place(seen_finely[VEHICLES], tile), place(seen_coarsely[VEHICLES], coarse_tile), objects)
 
 
-def _seen(detect: Detect, image: np.ndarray) -> dict[str, Boxes]:
-    """Boxes by kind; a plain function knows vehicles only."""
-    return detect.see(image) if isinstance(detect, Detector) else {VEHICLES: detect(image)}
+@dataclass(frozen=True)
+class _Pass:
+    """What looks at a tile, and the tile's pixels as it sees them. Boxes are by kind; a plain function knows vehicles
+    only."""
+
+    detect: Detect
+    image: np.ndarray
+
+    def whole(self) -> dict[str, Boxes]:
+        """All that it sees [px of the image]."""
+        return self._seen(self.image)
+
+    def around(self, seen: dict[str, Boxes], by: _Pass) -> dict[str, Boxes]:
+        """What it sees around the boxes that the pass `by` has `seen`; nothing where these are none. A detector that
+        may not see parts of an image as it sees the whole looks at all of it."""
+        boxes = Boxes.concatenate(list(seen.values()))
+        if not len(boxes):
+            return {VEHICLES: boxes}
+        if not (isinstance(self.detect, Detector) and self.detect.takes_parts):
+            return self.whole()
+        height, width = self.image.shape[:2]
+        centre = (boxes.xylwa[:, :2] * (width / by.image.shape[1])).clip(0, (width - 1, height - 1))
+        x, y = (np.maximum(centre.min(0) - PART_BORDER, 0) // PART_GRID * PART_GRID).astype(int).tolist()
+        right, bottom = (-(-(centre.max(0) + PART_BORDER) // PART_GRID) * PART_GRID).astype(int).tolist()
+        part = self.image[y:bottom, x:right]
+        return {
+            kind: boxes[boxes.inside(part.shape[1], part.shape[0], TILE_BORDER)].mapped(1, (x, y))
+            for kind, boxes in self._seen(part).items()
+        }
+
+    def _seen(self, image: np.ndarray) -> dict[str, Boxes]:
+        return self.detect.see(image) if isinstance(self.detect, Detector) else {VEHICLES: self.detect(image)}
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:

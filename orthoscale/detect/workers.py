@@ -16,12 +16,12 @@ from ..core.source import Picture
 from ..errors import InputError, OrthoscaleError, UsageError
 from ..system.budget import allow, memory
 from ..system.threads import Threads
-from .detector import Detector
+from .detector import Detector, Passes
 from .tiles import Detect, Looks, look_twice
 
 Done = TypeVar("Done")
 Jobs = Mapping[int, tuple[Picture, Tile]]
-Settings = tuple[Path | None, str | None, tuple[str, ...], bool]
+Settings = tuple[Path | None, str | None, tuple[str, ...], Passes]
 Visit = Callable[[Jobs], Iterator[tuple[int, Looks]]]
 """Looks at tiles; yields each with its number as soon as it is there, in any order."""
 
@@ -120,8 +120,8 @@ def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings, sha256: st
 @lru_cache(maxsize=2)
 def _detector(settings: Settings, sha256: str) -> Detector:
     """The network of that content. Raises InputError where this machine has another."""
-    path, decoder, vehicle_classes, confirmed = settings
-    detector = Detector(path, decoder, vehicle_classes, 1, confirmed)
+    path, decoder, vehicle_classes, passes = settings
+    detector = Detector(path, decoder, vehicle_classes, 1, passes)
     if detector.sha256 != sha256:
         raise InputError(
             f"{detector.path}: a Dask worker has another network there", "Give all machines the same, and run again."

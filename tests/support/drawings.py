@@ -7,7 +7,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.ruler import Ruler
-from orthoscale.detect.detector import Card
+from orthoscale.detect.detector import Card, Passes
 
 CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 
@@ -36,7 +36,8 @@ class RectangleDetector:
     """Finds white rectangles, but like a network only in its range of sizes; makes mistakes of the size it likes."""
 
     card = CARD
-    name, sha256, sure, confirming = "rectangles", "a" * 64, 0.0, None
+    name, sha256, sure = "rectangles", "a" * 64, 0.0
+    confirming, passes = None, Passes.FINE_FIRST
 
     def __init__(self, mistakes=0, seed=0):
         self.mistakes, self.rng = mistakes, np.random.default_rng(seed)
