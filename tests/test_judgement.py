@@ -83,6 +83,12 @@ def test_lengths_and_widths_refuse_only_far_apart(measured):
             assert remark_on_shape(0.1, tension).severity == severity
 
 
+@pytest.mark.parametrize("ratio, said", [(1.25, "lengths give"), (0.8, "widths give")])
+def test_the_larger_of_two_scales_is_larger_by_what_is_said(ratio, said):
+    text = remark_on_shape(float(np.log(ratio)), 3.0).text
+    assert text.startswith(said) and "by 25 %" in text, "more than the smaller one"
+
+
 def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(measured):
     checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
     (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]

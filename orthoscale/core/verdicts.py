@@ -44,7 +44,7 @@ def one_step_below(word: str) -> str:
 def remark_on_shape(difference: float, tension: float) -> Remark:
     """`difference` is log scale by lengths less that by widths, `tension` the sigmas between the two."""
     larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
-    percent = 100 * abs(np.expm1(difference))
+    percent = 100 * np.expm1(abs(difference))
     return Remark(
         REFUSAL if tension > SHAPE_LIMIT else CAUTION,
         f"{larger} give a larger scale than {smaller} by {percent:.0f} %: wrong fleet, or boxes that do not fit",
