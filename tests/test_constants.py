@@ -69,6 +69,13 @@ def test_round_numbers_are_next_below_and_above(value):
     assert metres == round_below(value) and 80 < length <= 200.001 and length * value / 200 == pytest.approx(metres)
 
 
+@pytest.mark.parametrize("power", range(-6, 7))
+def test_what_is_a_hair_less_than_a_power_of_ten_has_a_round_number_below(power):
+    """Its logarithm is rounded to a whole number, and nothing was left below."""
+    value = float(np.nextafter(10.0**power, 0))
+    assert round_below(value) == pytest.approx(value / 2) and round_above(value) == pytest.approx(value)
+
+
 def test_the_normal_distributions_numbers_have_one_owner():
     """1.4826 and 1.645, in whatever precision, are written nowhere but in core/pooling/posterior.py."""
     found = {

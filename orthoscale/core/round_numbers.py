@@ -28,5 +28,6 @@ def scale_bar(metres_per_px: float, width: int) -> tuple[float, float]:
 
 
 def _power(value: float) -> float:
-    """The power of ten next below."""
-    return 10.0 ** math.floor(math.log10(value))
+    """The power of ten next below, or `value` itself."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power if power <= value else power / 10  # the logarithm of what is hardly less is a whole number
