@@ -23,9 +23,9 @@ LON, LAT = 9.0, 60.0
 GEOD = pyproj.Geod(ellps="WGS84")
 
 
-def satellite(path, crs="EPSG:32632", step=0.5, size=1600, turned=0.0):
-    """A picture whose red is the column and whose green is the row, over 10 px, around a place in Norway."""
-    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(LON, LAT)
+def satellite(path, crs="EPSG:32632", step=0.5, size=1600, turned=0.0, lon=LON):
+    """A picture whose red is the column and whose green is the row, over 10 px, around a place in Norway, say."""
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, LAT)
     a = np.radians(turned)
     right, down = step * np.array([np.cos(a), -np.sin(a)]), step * np.array([-np.sin(a), -np.cos(a)])
     corner = np.array([x, y]) - size / 2 * (right + down)
@@ -68,6 +68,16 @@ def test_where_a_map_goes_is_said_by_all_its_corners(tmp_path, turned):
     ends = np.array(re.findall(r"\d+\.\d{6}", sky.extent_in_words()), float).reshape(2, 2)
     corners = sky.lon_lat(1600 * np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]))
     assert ends == pytest.approx(np.array([corners.min(0), corners.max(0)]), abs=1e-6)
+
+
+def test_a_map_in_degrees_goes_on_beyond_the_180th_meridian(tmp_path):
+    """A place there was not in it, and its ends were told the wrong way round."""
+    sky = Satellite.open(satellite(tmp_path / "sat.tif", "EPSG:4326", 1e-5, lon=180.0))
+    for lon, column in ((179.995, 300), (-179.995, 1300)):
+        assert sky.pixel_of(lon, LAT) == pytest.approx([column, 800], abs=0.01)
+        assert sky.lon_lat(np.array([column, 800.0]))[0] == pytest.approx([lon, LAT], abs=1e-7)
+        assert len(plan_crops(sky, 0.08, (1000, 750), (lon, LAT)).windows) == 1
+    assert "It goes from 179.992000, 59.992000 to 180.008000, 60.008000" in sky.extent_in_words()
 
 
 def test_squares_are_those_of_the_shorter_side(tmp_path):

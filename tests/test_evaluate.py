@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.transform import Affine
 from support import in_process
 from support.photos import SIZE
 
@@ -96,6 +98,18 @@ def test_ground_is_the_mean_of_the_lowest_tenth_within_100_m(folders):
         # The lowest tenth of normal noise of 5 cm is 1.755 sigma below its middle; half of the model is roofs.
         assert surface.ground(*LON_LAT) == pytest.approx(GROUND_M - 0.05 * 1.40, abs=0.01)
         assert surface.ground(LON_LAT[0] + 1, LON_LAT[1]) is None
+
+
+@pytest.mark.parametrize("lon", [179.9999, -179.9999])
+def test_ground_on_the_180th_meridian(tmp_path, lon):
+    """By a model in degrees: what is 100 m east of the place was 360 degrees west of it, and all of a row was near."""
+    heights = np.full((400, 400), 10.0, np.float32)
+    heights[:, :150] = 0.0  # far off
+    grid = Affine(5e-5, 0, 179.99, 0, -5e-5, 0.01)
+    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 400, 400, 1, "EPSG:4326", grid, "float32") as out:
+        out.write(heights, 1)
+    with Surface.open(tmp_path / "dsm.tif") as surface:
+        assert surface.ground(lon, 0.0) == pytest.approx(10.0)
 
 
 def test_a_table_with_pitch_and_focal_length(folders):

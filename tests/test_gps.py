@@ -142,13 +142,13 @@ def test_what_decides_the_scale_is_said():
     assert combined(vehicles, {"sampling": 0.05}, [far]).conflict > 3
 
 
-def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=()):
+def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=(), longitude=8.5):
     """A flight whose frames have GPS positions, at 47 degrees north, and its vehicles. wrong : numbers of the frames
     whose positions are 150 m off."""
     model, turn = make_model()
     save(model, folder / "sparse" / "0", "bin")
     source = ColmapSource.open(folder, need_images=False)
-    local = pyproj.Proj(proj="aeqd", lon_0=8.5, lat_0=47.25, ellps="WGS84")
+    local = pyproj.Proj(proj="aeqd", lon_0=longitude, lat_0=47.25, ellps="WGS84")
     rng = np.random.default_rng(0)
     (folder / "images").mkdir()
     for k, name in enumerate(source.picture_names):
@@ -173,6 +173,13 @@ def usual(folder):
 def test_the_tags_of_frames_give_a_model_its_scale(flight):
     (found,) = open_source(flight).gps.evidence
     assert abs(np.log(found.value / UNIT)) < 2 * found.relative_sd < 0.04
+
+
+def test_a_flight_over_the_180th_meridian_goes_on(tmp_path):
+    """It went around the Earth: of positions on both sides the middle one was in Greenwich."""
+    tagged(tmp_path, longitude=180.0)
+    (found,) = open_source(tmp_path).gps.evidence
+    assert found.doubt == 0 and abs(np.log(found.value / UNIT)) < 2 * found.relative_sd < 0.04
 
 
 def test_frames_without_tags_are_silent(tmp_path):

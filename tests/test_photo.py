@@ -361,6 +361,16 @@ def test_roll_turns_the_footprint_of_a_photo_taken_straight_down(pitch, roll, he
     assert np.degrees(np.arctan2(lon, lat)) % 360 == pytest.approx(heading, abs=0.5)  # 0.3 by the Earth's flattening
 
 
+@pytest.mark.parametrize("lon", [179.9999, -179.9999])
+def test_a_footprint_on_the_180th_meridian_does_not_go_around_the_earth(lon):
+    tags = Tags(8, 6, 8, lon_lat=(lon, 45.0), pitch=-90, roll=0, yaw=30)
+    around = SimpleNamespace(outline=lambda: 50.0 * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]))
+    outline = footprint_on_earth(SimpleNamespace(photo=SimpleNamespace(tags=tags), measured=around))
+    west, _, east, _ = outline.bounds
+    assert abs(west) < 180.001 and abs(east) < 180.001
+    assert (east - west) * np.cos(np.radians(45)) * 111_320 == pytest.approx(100 * (np.sin(np.pi / 3) + 0.5), rel=0.01)
+
+
 @pytest.mark.parametrize(("pitch", "roll", "yaw"), [(-89, 178, 40), (-60, 8, 200), (-35, -12, 300), (-85, 100, 5)])
 def test_the_heading_is_the_forward_of_level_axes(pitch, roll, yaw):
     angles = np.radians([90 - yaw, -pitch, roll])

@@ -11,6 +11,7 @@ from rasterio.windows import Window
 
 from ..core.affine import transformed
 from ..errors import InputError
+from ..formats.vector import turned_to
 from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
@@ -21,7 +22,7 @@ class Surface:
     """A digital surface model. Open it with `Surface.open`, in a ``with`` block."""
 
     def __init__(self, dataset: Any, crs: pyproj.CRS):
-        self._dataset = dataset
+        self._dataset, self._crs = dataset, crs
         self._from_degrees = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
 
     @classmethod
@@ -47,6 +48,8 @@ class Surface:
         to_pixel = ~self._dataset.transform
         places = np.array([(lon, lat), north[:2], east[:2]]).T
         x, y = self._from_degrees.transform(*places)
+        if self._crs.is_geographic:
+            x = turned_to(x, (self._dataset.bounds.left + self._dataset.bounds.right) / 2)
         (cx, cy), (nx, ny), (ex, ey) = transformed(np.column_stack([x, y]), to_pixel)
         if not np.isfinite([cx, cy, nx, ny, ex, ey]).all():
             return None

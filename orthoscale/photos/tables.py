@@ -13,6 +13,7 @@ from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
 from ..formats.names import json_in_utf8
+from ..formats.vector import about_meridian, write_layer
 from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
@@ -150,8 +151,6 @@ def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[s
     the ground that each measured photo shows, where place and heading are told; longitude and latitude."""
     import shapely
 
-    from ..formats.vector import write_layer
-
     places = [
         shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes
     ]
@@ -180,7 +179,7 @@ def footprint_on_earth(outcome: PhotoOutcome) -> Any:
     bearing = photo.tags.heading + np.degrees(np.arctan2(right, ahead))
     ones = np.ones(len(outline))
     x, y, _ = pyproj.Geod(ellps="WGS84").fwd(lon * ones, lat * ones, bearing, np.hypot(right, ahead))
-    return shapely.Polygon(np.column_stack([x, y]))
+    return shapely.Polygon(about_meridian(np.column_stack([x, y])))
 
 
 def _rounded(value: float | None) -> float | None:

@@ -58,6 +58,7 @@ def _local_metres(tags: Sequence[Tags]) -> np.ndarray:
     import pyproj
 
     lon, lat = np.array([told.lon_lat for told in tags]).T
+    lon = np.unwrap(lon, period=360)  # a flight over the 180th meridian goes on
     local = pyproj.Proj(proj="aeqd", lon_0=float(np.median(lon)), lat_0=float(np.median(lat)), ellps="WGS84")
     return np.stack(local(lon, lat), 1)
 

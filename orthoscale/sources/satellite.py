@@ -12,6 +12,7 @@ import pyproj
 
 from ..core.affine import transformed
 from ..errors import UsageError
+from ..formats.vector import about_meridian, turned_to
 from .raster import RasterSource
 
 
@@ -47,12 +48,19 @@ class Satellite:
         return transformed(np.reshape(pixels, (-1, 2)), self.transform)
 
     def degrees(self, coordinates: np.ndarray) -> np.ndarray:
-        """(n, 2) coordinates of `crs` to longitude and latitude [deg], infinite where there is no such place."""
-        return np.column_stack(self._to_degrees.transform(*np.asarray(coordinates, float).reshape(-1, 2).T))
+        """(n, 2) coordinates of `crs` to longitude, -180 to 180, and latitude [deg]; infinite where there is no such
+        place."""
+        longitude, latitude = self._to_degrees.transform(*np.asarray(coordinates, float).reshape(-1, 2).T)
+        return np.column_stack([turned_to(longitude, 0.0), latitude])
 
     def in_crs(self, lon_lat: np.ndarray) -> np.ndarray:
-        """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none."""
-        return np.column_stack(self._from_degrees.transform(*np.asarray(lon_lat, float).reshape(-1, 2).T))
+        """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none. A
+        picture in degrees may go on beyond 180, and they do as it does."""
+        x, y = self._from_degrees.transform(*np.asarray(lon_lat, float).reshape(-1, 2).T)
+        if self.crs.is_geographic:
+            middle = self.coordinates(np.array([self.source.width, self.source.height]) / 2)[0]
+            x = turned_to(x, middle[0])
+        return np.column_stack([x, y])
 
     def lon_lat(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to longitude and latitude [deg]."""
@@ -66,7 +74,7 @@ class Satellite:
     def extent_in_words(self) -> str:
         """From where to where it goes."""
         width, height = self.source.width, self.source.height
-        corners = self.lon_lat(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
+        corners = about_meridian(self.lon_lat(np.array([[0, 0], [width, 0], [width, height], [0, height]])))
         low, high = corners.min(0), corners.max(0)
         return f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude)."
 
