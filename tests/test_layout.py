@@ -312,6 +312,18 @@ def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, tu
     assert made.ground.north == pytest.approx(-turned, abs=0.1)
 
 
+@pytest.mark.parametrize("turned", [30, 200])
+def test_north_is_true_where_pixels_are_turned_and_not_square(tmp_path, turned):
+    """It was told by columns and rows, as if they were as long: 19 degrees off in pixels twice as high as wide."""
+    path = projected(tmp_path / "a.tif", "EPSG:32632", 9.0, 60.0, 0.1, turned)
+    with rasterio.open(path, "r+") as out:
+        out.transform = out.transform @ Affine.scale(1, 2)
+    ground = open_ground(path)
+    assert (ground.north + turned + 180) % 360 - 180 == pytest.approx(0, abs=0.01)
+    here, east, north = ground.from_crs(np.add(ground.to_crs(np.array([[40.0, 70.0]])), [[0, 0], [10, 0], [0, 10]]))
+    assert [*(east - here), *(north - here)] == pytest.approx([10, 0, 0, 10], abs=0.02)
+
+
 @pytest.mark.parametrize("crs, step", [("EPSG:32660", 0.1), ("EPSG:4326", 0.1 / 78_845)])
 @pytest.mark.parametrize("cut", [False, True])
 def test_a_lot_on_the_180th_meridian(tmp_path, crs, step, cut):

@@ -84,7 +84,7 @@ def overlay(
         x, y = _points(ground, np.array([place.centre]), window, zoom)[0] / 16
         _label(image, f"{number} {place.facility.code}", int(x), int(y))
     _scale_bar(image, ground.gsd / zoom)
-    _north_arrow(image, ground.north)
+    _north_arrow(image, np.subtract(*ground.to_pixels(np.array([[0.0, 1.0], [0.0, 0.0]]))))
     return image
 
 
@@ -136,10 +136,10 @@ def _scale_bar(image: np.ndarray, metres_per_px: float) -> None:
     _label(image, f"{metres:g} m", right + 36, y - 4)
 
 
-def _north_arrow(image: np.ndarray, north: float) -> None:
+def _north_arrow(image: np.ndarray, north: np.ndarray) -> None:
+    """north : (2,) its direction, right and down [px]."""
     middle = np.array([image.shape[1] - 36, 44])
-    angle = np.radians(north)
-    tip = middle + 26 * np.array([np.sin(angle), -np.cos(angle)])
+    tip = middle + 26 * north / np.linalg.norm(north)
     tail = 2 * middle - tip
     for colour, thickness in (((0, 0, 0), 5), ((255, 255, 255), 2)):
         cv2.arrowedLine(

@@ -31,8 +31,8 @@ class MetricOrthophoto:
     """An orthophoto with metres.
 
     pixel : (2,) true ground size of one pixel, across and down [m].
-    north : bearing of north in the picture, clockwise from its top [deg]. transform, crs : what the file claims, from
-    ground control points where it has no geotransform; crs None without one.
+    north : bearing of north in the picture, clockwise from its top, if its pixels were square [deg].
+    transform, crs : what the file claims, from ground control points where it has no geotransform; crs None without.
     interval : (low, high), the 90 % interval of the scale over its value; None where nobody tells it.
     notes : what the user should know of all that.
     """
@@ -115,15 +115,14 @@ def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophot
     across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
     # A transform in degrees does not tell the shape that pixels have on the ground.
     aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
-    north, notes = _north(source, transform)
+    pixel = gsd * np.array([aspect, 1 / aspect])
+    north, notes = _north(source, transform, pixel)
     interval, told = _interval(path, scale_error)
-    return MetricOrthophoto(
-        source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told)
-    )
+    return MetricOrthophoto(source, pixel, north, transform, crs, interval, (*notes, *told))
 
 
-def _north(source: RasterSource, transform: Affine) -> tuple[float, tuple[str, ...]]:
-    """Of a picture with this transform, `MetricOrthophoto.north`, and notes on it."""
+def _north(source: RasterSource, transform: Affine, pixel: np.ndarray) -> tuple[float, tuple[str, ...]]:
+    """Of a picture with this transform and `MetricOrthophoto.pixel`, its `north`, and notes on it."""
     middle = np.array([[source.width / 2, source.height / 2]])
     x, y = transformed(middle, transform)[0]
     notes: tuple[str, ...] = ()
@@ -134,7 +133,7 @@ def _north(source: RasterSource, transform: Affine) -> tuple[float, tuple[str, .
     else:
         ahead = x, y + 1
         notes = ("north is taken to be where the picture's own y axis points: nothing ties it to the ground",)
-    right, down = (transformed(np.array([ahead]), ~transform) - middle)[0]
+    right, down = (transformed(np.array([ahead]), ~transform) - middle)[0] * pixel
     return math.degrees(math.atan2(right, -down)), notes
 
 
