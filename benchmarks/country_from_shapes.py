@@ -35,7 +35,7 @@ def main(folder: Path) -> None:
         if scene.path.is_file():  # an orthophoto
             boxes = next(iter(found.boxes.values()))
             pixel = np.full(len(boxes), 1 / found.zoom)
-            seen = gather(ground_size(boxes), pixel, boxes.centre, boxes.score, False, boxes.spread)
+            seen = gather(ground_size(boxes), pixel, boxes.centre, boxes.score, False, boxes.sigma)
             votes[scene] = seen, found.ruler
     for share in SHARES:
         robust.SHAPES_TOLD, robust.LIKELY = share, 0.0

@@ -8,11 +8,16 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rasterio
 from rasterio import Affine
+
+import orthoscale
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_RULER, Detections
 
 ROOT = Path(__file__).parent.parent
 TOWN = ROOT / "examples" / "town"
@@ -78,6 +83,24 @@ def test_one_place_says_nothing_of_the_margin(benchmark, monkeypatch, capsys, tm
     places.main([places.Scene(Path("manila.jpg"), "PH", 0.1)], tmp_path)
     said = capsys.readouterr().out
     assert "| manila | PH | +1.0" in said and "left out" not in said
+
+
+def test_what_boxes_know_of_themselves_counts_where_shapes_are_to_tell_the_country(
+    benchmark, monkeypatch, capsys, tmp_path
+):
+    module, picture = benchmark("country_from_shapes"), tmp_path / "manila.jpg"
+    picture.touch()
+    sigma = np.tile([0.03, 0.05], (6, 1))
+    boxes = Boxes(np.array([[60.0 * k, 60, 44, 18, 0.1] for k in range(6)]), np.ones(6), sigma)
+    found = Detections({"manila.jpg": boxes}, 1.0, UNKNOWN_RULER, (0.8, 0.8), "drawn")
+    orthoscale.save_detections(found, tmp_path / "manila.det.json")
+    pooled = []
+    scale = SimpleNamespace(fleets={"PH": 0.5}, value=0.1, interval90=(0.09, 0.11))
+    monkeypatch.setattr(module, "scenes", lambda: [benchmark("places").Scene(picture, "PH", 0.1)])
+    monkeypatch.setattr(module, "robust", SimpleNamespace(pool=lambda votes, *_: (pooled.append(votes), scale)[1]))
+    module.main(tmp_path)
+    assert {len(votes) for votes in pooled} == {6} and pooled[0].sigma == pytest.approx(sigma)
+    assert capsys.readouterr().out.count("1 of 1") == len(module.SHARES)
 
 
 def test_a_mosaic_of_a_raster_of_any_name(benchmark, tmp_path):
