@@ -112,7 +112,7 @@ MUTANTS = (
     ),
     Mutant(
         "photos/tables.py",
-        'write_layer(path, "photos", places, rows, "Point", "EPSG:4326")',
+        'write_layer(path, "photos", places, rows, "Point", WGS_84)',
         'write_layer(path, "photos", places, rows, "Point", "EPSG:3857")',
         "tests/test_photo.py::test_a_folder_becomes_a_table_in_every_format",
     ),

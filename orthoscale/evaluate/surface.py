@@ -11,7 +11,7 @@ from rasterio.windows import Window
 
 from ..core.affine import transformed
 from ..errors import InputError
-from ..formats.vector import turned_to
+from ..formats.degrees import to_degrees, turned_to
 from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
@@ -23,7 +23,7 @@ class Surface:
 
     def __init__(self, dataset: Any, crs: pyproj.CRS):
         self._dataset, self._crs = dataset, crs
-        self._from_degrees = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        self._to_degrees = to_degrees(crs)
 
     @classmethod
     def open(cls, path: Path) -> Surface:
@@ -46,8 +46,8 @@ class Surface:
         north = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 0.0, RADIUS)
         east = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 90.0, RADIUS)
         to_pixel = ~self._dataset.transform
-        places = np.array([(lon, lat), north[:2], east[:2]]).T
-        x, y = self._from_degrees.transform(*places)
+        longitude, latitude = np.array([(lon, lat), north[:2], east[:2]]).T
+        x, y = self._to_degrees.transform(longitude, latitude, direction="INVERSE")
         if self._crs.is_geographic:
             x = turned_to(x, (self._dataset.bounds.left + self._dataset.bounds.right) / 2)
         (cx, cy), (nx, ny), (ex, ey) = transformed(np.column_stack([x, y]), to_pixel)

@@ -14,20 +14,6 @@ from .names import in_utf8
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 
 
-def turned_to(longitudes: np.ndarray, about: float) -> np.ndarray:
-    """(K,) `longitudes` [deg] by whole turns, each within 180 degrees of the longitude `about`; infinite ones stay."""
-    turns = np.round((longitudes - about) / 360)
-    return longitudes - 360 * np.where(np.isfinite(turns), turns, 0.0)
-
-
-def about_meridian(places: np.ndarray, about: float = 0.0) -> np.ndarray:
-    """(K, 2) longitudes and latitudes [deg] of one shape that goes on beyond 180 degrees instead of around the Earth;
-    its middle lies within 180 degrees of the longitude `about`. For shapes of less than half of the Earth."""
-    east, north = np.asarray(places, float)[:, :2].T
-    east = turned_to(east, east[0])  # the same for the first and last of a ring
-    return np.column_stack([east - 360 * np.round((east.mean() - about) / 360), north])
-
-
 def write_layer(
     path: Path, layer: str, shapes: Sequence[Any], rows: Sequence[Mapping[str, Any]], kind: str, crs: str | None
 ) -> None:

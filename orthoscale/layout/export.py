@@ -11,12 +11,12 @@ import rasterio
 import shapely
 from rasterio.windows import Window as RasterWindow
 
+from ..formats.degrees import WGS_84, about_meridian, to_degrees
 from ..formats.names import json_in_utf8
 from ..formats.pictures import write_png
-from ..formats.vector import about_meridian, write_layer
+from ..formats.vector import write_layer
 from ..sources.gdal import guarded
 from . import draw
-from .ground import to_degrees
 from .plan import Layout, document, prompt
 
 TILE_PX = 256
@@ -57,7 +57,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     if on_earth:
         there = to_degrees(ground.crs)
         areas = [shapely.transform(a, lambda c: about_meridian(np.column_stack(there.transform(*c.T)))) for a in areas]
-    write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", "EPSG:4326" if on_earth else None)
+    write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", WGS_84 if on_earth else None)
 
 
 def write_dxf(layout: Layout, path: Path) -> None:

@@ -16,8 +16,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
+from ..formats.degrees import WGS_84, about_meridian, to_degrees
 from ..formats.reading import LARGE, check_regular, read, read_plain
-from ..formats.vector import about_meridian
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
@@ -92,11 +92,6 @@ class MetricOrthophoto:
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
         """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
         return shapely.transform(shape, to)
-
-
-def to_degrees(crs: Any) -> pyproj.Transformer:
-    """From map coordinates in `crs` to longitude and latitude (WGS 84). Raises pyproj's errors where there is none."""
-    return pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(crs), "EPSG:4326", always_xy=True)
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
@@ -199,7 +194,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
         area = ground.mapped(area, ground.to_metres)
     else:
         # GeoJSON knows longitude and latitude alone; a file in other coordinates is read as if it were that.
-        if ground.source.claimed.usable and own and not (own == "EPSG:4326" and not _degrees(area)):
+        if ground.source.claimed.usable and own and not (own == WGS_84 and not _degrees(area)):
             try:
                 there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
                 area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))

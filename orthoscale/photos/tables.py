@@ -12,8 +12,9 @@ import numpy as np
 from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
+from ..formats.degrees import WGS_84, about_meridian
 from ..formats.names import json_in_utf8
-from ..formats.vector import about_meridian, write_layer
+from ..formats.vector import write_layer
 from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
@@ -155,12 +156,12 @@ def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[s
         shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes
     ]
     places += [None] * (len(rows) - len(places))  # all together are nowhere
-    write_layer(path, "photos", places, rows, "Point", "EPSG:4326")
+    write_layer(path, "photos", places, rows, "Point", WGS_84)
     outlines = [
         (r, shape) for o, r in zip(outcomes, rows, strict=False) if (shape := footprint_on_earth(o)) is not None
     ]
     if outlines:
-        write_layer(path, "footprints", [s for _, s in outlines], [r for r, _ in outlines], "Polygon", "EPSG:4326")
+        write_layer(path, "footprints", [s for _, s in outlines], [r for r, _ in outlines], "Polygon", WGS_84)
 
 
 def footprint_on_earth(outcome: PhotoOutcome) -> Any:

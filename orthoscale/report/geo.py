@@ -10,9 +10,10 @@ from rasterio.warp import transform
 
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
+from ..formats.degrees import WGS_84, about_meridian
 from ..formats.detections.geo import LAYER
 from ..formats.names import json_in_utf8
-from ..formats.vector import about_meridian, write_layer
+from ..formats.vector import write_layer
 from .anchors import entries, write_anchor_layer
 from .result import Result
 
@@ -130,7 +131,7 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
     columns = {name: values.tolist() for name, values in table(result, place).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):
-        east, north = transform(place.crs, "EPSG:4326", *ring.T)
+        east, north = transform(place.crs, WGS_84, *ring.T)
         geometry = {"type": "Polygon", "coordinates": [about_meridian(np.column_stack([east, north])).tolist()]}
         properties = {name: values[k] for name, values in columns.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})

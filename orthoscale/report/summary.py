@@ -17,6 +17,7 @@ from urllib.parse import quote
 from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
+from ..formats.degrees import WGS_84
 from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
 from ..system.signatures import has_header, ours
@@ -113,7 +114,7 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
         None if row["longitude"] is None else shapely.Point(row["longitude"], row["latitude"])  # x, y
         for row in rows
     ]
-    write_layer(path, SUMMARY_LAYER, points, rows, "Point", "EPSG:4326")
+    write_layer(path, SUMMARY_LAYER, points, rows, "Point", WGS_84)
 
 
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:

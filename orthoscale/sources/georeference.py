@@ -17,6 +17,7 @@ from rasterio.transform import Affine, from_gcps
 
 from ..core.affine import transformed
 from ..errors import InputError
+from ..formats.degrees import to_degrees
 from .gdal import open_dataset, read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
@@ -260,9 +261,8 @@ def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tup
     # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.
     half = min(100.0, x, y)
     steps = np.array([[x - half, y], [x + half, y], [x, y - half], [x, y + half]])
-    to_degrees = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
     x, y = transformed(steps, t).T
-    lon, lat = to_degrees.transform(x, y, errcheck=True)
+    lon, lat = to_degrees(system).transform(x, y, errcheck=True)
     if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
         raise pyproj.exceptions.ProjError("outside of longitude and latitude")
     geod = pyproj.Geod(ellps="WGS84")

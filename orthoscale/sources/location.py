@@ -12,6 +12,7 @@ import numpy as np
 from ..core.affine import transformed
 from ..core.source import Claim, Source
 from ..errors import InputError
+from ..formats.degrees import to_degrees
 
 REFERENCE = "reference_lla.json"  # OpenSfM's and OpenDroneMap's, beside the reconstruction
 PICTURES_ASKED = 5  # pictures that are asked; a flight is in one country
@@ -55,11 +56,8 @@ def location_in(pictures: Iterable[Path]) -> Location | None:
 def _of_claim(claimed: Claim, width: int, height: int) -> Location | None:
     if not claimed.usable or claimed.crs is None or claimed.transform is None:
         return None
-    import pyproj
-
-    to_degrees = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(claimed.crs), "EPSG:4326", always_xy=True)
     middle = transformed(np.array([width / 2, height / 2]), claimed.transform)
-    longitude, latitude = to_degrees.transform(*middle)
+    longitude, latitude = to_degrees(claimed.crs).transform(*middle)
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         return None
     return Location((longitude + 180) % 360 - 180, latitude, "its georeferencing")  # rasters may go on beyond 180

@@ -12,7 +12,7 @@ import pyproj
 
 from ..core.affine import transformed
 from ..errors import UsageError
-from ..formats.vector import about_meridian, turned_to
+from ..formats.degrees import about_meridian, to_degrees, turned_to
 from .raster import RasterSource
 
 
@@ -37,11 +37,7 @@ class Satellite:
 
     @cached_property
     def _to_degrees(self) -> pyproj.Transformer:
-        return pyproj.Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
-
-    @cached_property
-    def _from_degrees(self) -> pyproj.Transformer:
-        return pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+        return to_degrees(self.crs)
 
     def coordinates(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to coordinates of `crs`."""
@@ -56,7 +52,8 @@ class Satellite:
     def in_crs(self, lon_lat: np.ndarray) -> np.ndarray:
         """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none. A
         picture in degrees may go on beyond 180, and they do as it does."""
-        x, y = self._from_degrees.transform(*np.asarray(lon_lat, float).reshape(-1, 2).T)
+        longitude, latitude = np.asarray(lon_lat, float).reshape(-1, 2).T
+        x, y = self._to_degrees.transform(longitude, latitude, direction="INVERSE")
         if self.crs.is_geographic:
             middle = self.coordinates(np.array([self.source.width, self.source.height]) / 2)[0]
             x = turned_to(x, middle[0])

@@ -19,14 +19,13 @@ from ...core.affine import transformed
 from ...core.boxes import KINDS, Boxes
 from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
+from ..degrees import WGS_84, about_meridian
 from ..names import json_in_utf8
 from ..reading import check_regular, checked, parsed
-from ..vector import about_meridian
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
 
 LAYER = "vehicles"
-WGS_84 = "EPSG:4326"  # longitude and latitude, as GeoJSON has them
 # Columns of a GeoPackage, which has no lists, by the list that each is of.
 LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
