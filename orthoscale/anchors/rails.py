@@ -209,11 +209,10 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
 def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, gsd: float) -> Track | None:
     """The track through `start` [px], both ways from there; None of too few blocks."""
     step = BLOCK / gsd
-    rows: list[tuple] = []
-    tried = 0
     first = _block(light, start, angle, apart, step, gsd)
     if first is None:
         return None
+    parts, tried = [], 1
     for way in (1.0, -1.0):
         place, heading, missing, got = first[0], angle, 0, []
         while missing <= RAIL_MISSING:
@@ -230,16 +229,15 @@ def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, 
                 off = (place - back) * way
                 heading = float(np.arctan2(off[1], off[0])) if len(got) > 1 else heading
         tried -= missing
-        rows = (got[::-1] if way < 0 else rows) + (rows if way < 0 else got)
-        if way > 0:
-            rows = [first, *got]
+        parts.append(got)
+    rows = [*parts[1][::-1], first, *parts[0]]
     if len(rows) < FEWEST_RAIL_BLOCKS:
         return None
     middle = np.array([row[0] for row in rows])
     along = np.gradient(middle, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     apart_, third = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
-    return Track(middle, along, apart_, third, np.array([row[3] for row in rows]), tried + 1)
+    return Track(middle, along, apart_, third, np.array([row[3] for row in rows]), tried)
 
 
 def _block(
