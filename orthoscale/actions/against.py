@@ -88,9 +88,14 @@ def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footi
 
 
 def _registered(
-    picture: Picture, claimed: float, satellite: Satellite, around: float, cache: bool, progress: Progress | None
+    picture: Picture,
+    claimed: float | np.ndarray,
+    satellite: Satellite,
+    around: float,
+    cache: bool,
+    progress: Progress | None,
 ) -> tuple[SeenPlan, Registration]:
-    """`picture` of `claimed` metres per pixel on the map, turned in any way."""
+    """`picture` of `claimed` metres per pixel, as in `SeenPlan`, on the map, turned in any way."""
     from ..locate.features import GradientFeatures
     from ..locate.ground import SeenPlan
     from ..locate.register import Known, register
@@ -100,11 +105,12 @@ def _registered(
     return seen, register(seen, satellite, GradientFeatures(), known, cache, progress)
 
 
-def _pictures(source: Source) -> Sequence[tuple[Picture, float]]:
-    """Pictures of the ground from above, and source units per pixel of each: an orthophoto, or the frames of a
-    reconstruction that show most ground."""
+def _pictures(source: Source) -> Sequence[tuple[Picture, float | np.ndarray]]:
+    """Pictures of the ground from above, and source units per pixel of each, as in `SeenPlan`: an orthophoto, or the
+    frames of a reconstruction that show most ground."""
     if source.plan is not None:
-        return [(source.plan, 1.0)]
+        wide = math.sqrt(source.plan.claimed.aspect)
+        return [(source.plan, np.array([wide, 1 / wide]))]
     posed: PosedSet | None = source.posed
     assert posed is not None, "it is one of the two"
     views = [view for view in posed.ground_pictures if view.frame is not None]

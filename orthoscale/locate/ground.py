@@ -85,11 +85,11 @@ class Query(Protocol):
 
 @dataclass(frozen=True)
 class SeenPlan:
-    """An orthophoto, or a frame warped onto the ground, of claimed `gsd` [m/px], in any unit if the scale is to be
-    found."""
+    """An orthophoto, or a frame warped onto the ground, of claimed `gsd` [m/px], one number or (2,) across and down, in
+    any unit if the scale is to be found."""
 
     picture: Picture
-    gsd: float
+    gsd: float | np.ndarray
 
     @property
     def size(self) -> np.ndarray:
