@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rasterio import Affine
 from support.flights import UNIT, found_by, vehicles
 from support.models import make_model, put_frames, save
 
@@ -123,6 +124,18 @@ def test_pixels_that_are_not_square_are_laid_on_the_ground_first(results, monkey
     checked = check_against_model(replace(ortho, measured=replace(ortho.measured, votes=squeezed)), model)
     assert checked.common == square.common
     assert checked.units_per_pixel == pytest.approx(square.units_per_pixel, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_picture_whose_rows_go_north_shows_the_same_ground(results, monkeypatch):
+    ortho, model = results
+    usual = check_against_model(ortho, model)
+    mirrored = replace(ortho.votes, place=ortho.votes.place * (1, -1) + (0, 1500))
+    rows_north = Affine(GSD, 0, 500_000, 0, GSD, 5_400_000)
+    monkeypatch.setattr(ortho.source, "claimed", replace(ortho.source.claimed, transform=rows_north))
+    checked = check_against_model(replace(ortho, measured=replace(ortho.measured, votes=mirrored)), model)
+    assert checked.common == usual.common
+    assert checked.units_per_pixel == pytest.approx(usual.units_per_pixel, rel=1e-6)
 
 
 @pytest.mark.slow
