@@ -463,6 +463,8 @@ def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
         ("EPSG:3395", Affine(0.2, 0, 1_000_000, 0, -0.2, 8_362_698.5), 0.1),
         # State plane in US survey feet (Ohio North).
         ("EPSG:3734", Affine(0.5, 0, 2_000_000, 0, -0.5, 600_000), 0.5 * 1200 / 3937),
+        # An equal-area projection near its edge, Portugal: its pixels lean by 2 degrees.
+        ("EPSG:3035", Affine(0.1, 0, 2_700_000, 0, -0.1, 1_700_000), 0.1),
         # Degrees on the equator: 111.32 km by 110.57 km.
         ("EPSG:4326", Affine(1e-6, 0, 10, 0, -1e-6, 0.0001), 0.1109),
     ],
@@ -501,6 +503,9 @@ def test_a_copy_in_metres_has_pixels_of_the_shape_that_they_have_on_the_ground(
             0,
         )
         assert (t.c, min(t.f, (t * (0, H))[1])) == (0, pytest.approx(0, abs=1e-9)), "origin at the lower left"
+    again = RasterSource.open(tmp_path / "b.tif").claimed
+    assert again.aspect == pytest.approx(wide / high, rel=2e-3) and not again.usable
+    assert again.gsd_m == pytest.approx(2 * source.claimed.gsd_m)
 
 
 @pytest.mark.parametrize(
@@ -514,6 +519,8 @@ def test_a_copy_in_metres_has_pixels_of_the_shape_that_they_have_on_the_ground(
         ({"transform": Affine(0.1, 0, 5, 0, -0.1, 7)}, "no coordinate reference system; pixels are square"),
         ({"transform": Affine(0.2, 0, 5, 0, -0.1, 7)}, "2 times as wide"),
         ({"crs": "EPSG:4326", "transform": Affine(0.1, 0, 5, 0, -0.1, 700)}, "Earth"),
+        ({"crs": "ESRI:54009", "transform": Affine(0.1, 0, 6_700_000, 0, -0.1, 6_900_000)}, "rows and columns meet at"),
+        ({"crs": "EPSG:4326", "transform": Affine(1e-6, 1e-6, 5, 1e-6, -1e-6, 60)}, "meet at 53 degrees on the ground"),
         ({"crs": 'LOCAL_CS["arbitrary",UNIT["metre",1]]', "transform": Affine(0.1, 0, 5, 0, -0.1, 7)}, "local"),
     ],
 )

@@ -23,6 +23,10 @@ from .gdal import open_dataset, read_projection
 LINE = 1e-6  # width over length from which points count as lying on a line
 MOST_MISFIT = 0.02
 """Share of the image's diagonal that ground control may be off its affine fit: then the pixel size is off as much."""
+# [deg] from which pixels are parallelograms on the ground, and so are vehicles: of projections of a continent that keep
+# areas, EPSG:3035 leans by 2.4 at its edges; maps of the world, and turned ones in degrees, by tens.
+MOST_LEANING = 5.0
+NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
@@ -93,7 +97,8 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
             unread = f", and {projection.name} beside it is not understood"
     if crs is None:
         beside = [Path(f).name for f in dataset.files[1:]]
-        shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"
+        aspect = _aspect(across, down)
+        shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         why = (
             f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
             f"there is no coordinate reference system{unread}; pixels are {shape}"
@@ -103,7 +108,7 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
     if system.type_name == "Engineering CRS":
         size *= system.axis_info[0].unit_conversion_factor
         why = f"in local coordinates ({system.name}{told_by}), which nothing ties to the ground"
-        return Claim(size, False, why + _attitude(t), crs, t)
+        return Claim(size, False, why + _attitude(t), crs, t, _aspect(across, down))  # copies may have oblong pixels
     if (t.c, t.f) == (0, 0):
         # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
         return Claim(None, False, f"a placeholder: {system.name}{told_by} with its origin at exactly (0, 0)", crs, t)
@@ -172,20 +177,22 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
     if system.is_geocentric:
         return Claim(None, False, f"{system.name} has its axes from the Earth's centre: no picture lies in it")
     try:
-        across, down = _ground_steps(dataset.width, dataset.height, t, system)
+        across, down, leaning = _ground_steps(dataset.width, dataset.height, t, system)
     except pyproj.exceptions.ProjError as error:
         return Claim(None, False, f"its place cannot be found on Earth from {system.name} ({error})")
     gsd = math.sqrt(across * down)
     if gsd == 0:
         return Claim(None, False, f"pixels without size on the ground, in {system.name}")
+    if leaning > MOST_LEANING:
+        meet = f"its rows and columns meet at {90 - leaning:.0f} degrees on the ground"
+        return Claim(None, False, f"{meet}, in {system.name} (gdalwarp to UTM puts that right)", crs, t)
     size = math.sqrt(abs(t.determinant))
     unit = system.axis_info[0].unit_name if system.axis_info else "unit"
     if system.is_geographic:
         why += f"; {size:.6g} degrees per pixel"
     elif abs(size / gsd - 1) > 0.002:  # feet, or a projection that stretches: Mercator by 1/cos(latitude)
         why += f"; {size:.6g} {unit} per pixel there"
-    aspect = 1.0 if _square(across, down) else across / down
-    if aspect != 1:
+    if (aspect := _aspect(across, down)) != 1:
         why += f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
     return Claim(gsd, True, why + _attitude(t), crs, t, aspect)
 
@@ -246,13 +253,15 @@ def kept_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     )
 
 
-def _square(across: float, down: float) -> bool:
-    # Web Mercator treats the ellipsoid as a sphere, which stretches one axis by up to 0.7 %.
-    return abs(across / down - 1) < 0.01
+def _aspect(across: float, down: float) -> float:
+    """`Claim.aspect` of pixels `across` wide and `down` high; 1 of those that are nearly square: Web Mercator treats
+    the ellipsoid as a sphere, which stretches one axis by up to 0.7 %."""
+    return 1.0 if abs(across / down - 1) < NEARLY_SQUARE else across / down
 
 
-def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tuple[float, float]:
-    """[m] how far one step across and one step down is at the image's centre, along geodesics.
+def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tuple[float, float, float]:
+    """How far one step across and one step down is at the image's centre, along geodesics [m], and by how much the two
+    are off a right angle [deg].
 
     One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError when the centre
     is not a place on Earth.
@@ -266,5 +275,6 @@ def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tup
     if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
         raise pyproj.exceptions.ProjError("outside of longitude and latitude")
     geod = pyproj.Geod(ellps="WGS84")
-    _, _, distance = geod.inv([lon[0], lon[2]], [lat[0], lat[2]], [lon[1], lon[3]], [lat[1], lat[3]])
-    return distance[0] / (2 * half), distance[1] / (2 * half)
+    azimuth, _, distance = geod.inv([lon[0], lon[2]], [lat[0], lat[2]], [lon[1], lon[3]], [lat[1], lat[3]])
+    leaning = abs((azimuth[1] - azimuth[0]) % 180 - 90)
+    return distance[0] / (2 * half), distance[1] / (2 * half), leaning
