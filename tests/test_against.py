@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,6 @@ from support.aerial import other_date
 import orthoscale
 from orthoscale.actions.against import _pictures, on_map
 from orthoscale.core.evidence import BY_MAP, Evidence
-from orthoscale.locate.ground import SeenPlan
 from orthoscale.sources.on_map import OnMap
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
@@ -110,9 +110,22 @@ def test_pixels_that_are_not_square_are_made_square_before_they_are_looked_for(p
 def test_pixels_of_a_plan_need_not_be_square(tmp_path):
     oblong = Affine(0.3, 0, 500_000, 0, -0.1, 5_400_000)
     source = open_source(written(tmp_path / "ortho.tif", np.zeros((120, 80, 3), np.uint8), "EPSG:32632", oblong))
-    ((picture, units),) = _pictures(source)
-    seen = SeenPlan(picture, source.claimed.gsd_m * units)
+    (seen,) = _pictures(source)
+    seen = replace(seen, gsd=source.claimed.gsd_m * seen.gsd)
     assert seen.size == pytest.approx([24, 12], rel=1e-3) and seen.at(0.2).valid.shape == (60, 120)
+
+
+@pytest.mark.slow
+def test_a_picture_whose_rows_go_north_is_found_too(pair, tmp_path):
+    folder, pixels, there = pair
+    flipped = cv2.imread(str(folder / "ortho.png"))[::-1, :, ::-1]
+    path = written(tmp_path / "ortho.tif", flipped, "EPSG:32632", Affine(GSD, 0, 500_100, 0, GSD, 5.4e6))
+    got = on_map(open_source(path), Satellite.open(folder / "map.tif"), (1.03 * GSD, 0.05), cache=False)
+    (evidence,) = got.evidence
+    assert evidence.value == pytest.approx(GSD, rel=3 * evidence.relative_sd)
+    place = got.place(got.gsd_m).transform
+    put = np.array([place @ tuple(p) for p in pixels * (1, -1) + (0, 800)])
+    assert np.hypot(*(put - there).T).max() < 1.5 and place.determinant > 0
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from ..core.control import on_ground
 from ..core.evidence import BY_MAP, Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.progress import Progress
-from ..core.source import Picture, PosedSet, Source
+from ..core.source import PosedSet, Source
 from ..errors import TooLittleEvidence
 from ..sources.on_map import OnMap
 
@@ -48,9 +48,9 @@ def on_map(
     around = float(np.clip(SCALES_AROUND * scale[1], LEAST_AROUND, MOST_AROUND))
     problems = []
     best: tuple[SeenPlan, Registration] | None = None
-    for picture, units in _pictures(source):
+    for seen in (replace(each, gsd=each.gsd * scale[0]) for each in _pictures(source)):
         try:
-            seen, found = _registered(picture, units * scale[0], satellite, around, cache, progress)
+            found = _registered(seen, satellite, around, cache, progress)
         except TooLittleEvidence as error:
             problems.append(error.message)
             continue
@@ -88,39 +88,37 @@ def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footi
 
 
 def _registered(
-    picture: Picture,
-    claimed: float | np.ndarray,
-    satellite: Satellite,
-    around: float,
-    cache: bool,
-    progress: Progress | None,
-) -> tuple[SeenPlan, Registration]:
-    """`picture` of `claimed` metres per pixel, as in `SeenPlan`, on the map, turned in any way."""
+    seen: SeenPlan, satellite: Satellite, around: float, cache: bool, progress: Progress | None
+) -> Registration:
+    """`seen` on the map, turned in any way."""
     from ..locate.features import GradientFeatures
-    from ..locate.ground import SeenPlan
     from ..locate.register import Known, register
 
-    seen = SeenPlan(picture, claimed)
     known = Known((math.exp(-around), math.exp(around)))
-    return seen, register(seen, satellite, GradientFeatures(), known, cache, progress)
+    return register(seen, satellite, GradientFeatures(), known, cache, progress)
 
 
-def _pictures(source: Source) -> Sequence[tuple[Picture, float | np.ndarray]]:
-    """Pictures of the ground from above, and source units per pixel of each, as in `SeenPlan`: an orthophoto, or the
-    frames of a reconstruction that show most ground."""
+def _pictures(source: Source) -> Sequence[SeenPlan]:
+    """Pictures of the ground from above, in source units: an orthophoto, or the frames of a reconstruction that show
+    most ground."""
+    from ..locate.ground import SeenPlan
+
     if source.plan is not None:
-        wide = math.sqrt(source.plan.claimed.aspect)
-        return [(source.plan, np.array([wide, 1 / wide]))]
+        claimed, wide = source.plan.claimed, math.sqrt(source.plan.claimed.aspect)
+        mirrored = claimed.transform is not None and claimed.transform.determinant > 0  # rows go north, say
+        return [SeenPlan(source.plan, np.array([wide, 1 / wide]), mirrored)]
     posed: PosedSet | None = source.posed
     assert posed is not None, "it is one of the two"
     views = [view for view in posed.ground_pictures if view.frame is not None]
     views.sort(key=lambda view: view.width * view.height * view.unit_per_pixel**2, reverse=True)
-    return [(view, view.unit_per_pixel) for view in views[:VIEWS_TRIED]]
+    return [SeenPlan(view, view.unit_per_pixel) for view in views[:VIEWS_TRIED]]
 
 
 def _affine(seen: SeenPlan, found: Registration, satellite: Satellite) -> np.ndarray:
     """(2, 3) from the orthophoto's pixels to the map's coordinates, by the match."""
     size = np.array([seen.picture.width, seen.picture.height], float)
-    corners = np.array([[0, 0], [size[0], 0], [0, size[1]]])
-    first, right, down = satellite.coordinates(found.candidates[0].map_pixels(corners * seen.gsd))
+    corners = np.array([[0, 0], [size[0], 0], [0, size[1]]]) * seen.gsd
+    if seen.mirrored:
+        corners[:, 0] = seen.size[0] - corners[:, 0]
+    first, right, down = satellite.coordinates(found.candidates[0].map_pixels(corners))
     return np.column_stack([(right - first) / size[0], (down - first) / size[1], first])

@@ -47,7 +47,7 @@ class GroundImage:
         return self.origin + self.gsd * inside
 
     def mirrored(self) -> GroundImage:
-        """The mirror image: of the same texture, and nowhere on the ground."""
+        """The mirror image, left for right: of the same texture, and nowhere on the ground."""
         pixels, valid = (np.ascontiguousarray(each[:, ::-1]) for each in (self.pixels, self.valid))
         return GroundImage(pixels, valid, self.gsd, self.origin)
 
@@ -86,10 +86,12 @@ class Query(Protocol):
 @dataclass(frozen=True)
 class SeenPlan:
     """An orthophoto, or a frame warped onto the ground, of claimed `gsd` [m/px], one number or (2,) across and down, in
-    any unit if the scale is to be found."""
+    any unit if the scale is to be found. mirrored : the picture shows the ground so; what is told of it then is its
+    mirror image's, whose columns run the other way."""
 
     picture: Picture
     gsd: float | np.ndarray
+    mirrored: bool = False
 
     @property
     def size(self) -> np.ndarray:
@@ -101,4 +103,5 @@ class SeenPlan:
         width, height = np.maximum(np.rint(self.size / gsd).astype(int), 1)
         whole = self.picture.width, self.picture.height
         pixels = self.picture.read(0, 0, *whole, int(width), int(height))
-        return GroundImage(pixels, has_data(pixels), gsd, np.zeros(2))
+        image = GroundImage(pixels, has_data(pixels), gsd, np.zeros(2))
+        return image.mirrored() if self.mirrored else image
