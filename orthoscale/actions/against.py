@@ -104,9 +104,8 @@ def _pictures(source: Source) -> Sequence[SeenPlan]:
     from ..locate.ground import SeenPlan
 
     if source.plan is not None:
-        claimed, wide = source.plan.claimed, math.sqrt(source.plan.claimed.aspect)
-        mirrored = claimed.transform is not None and claimed.transform.determinant > 0  # rows go north, say
-        return [SeenPlan(source.plan, np.array([wide, 1 / wide]), mirrored)]
+        wide = math.sqrt(source.plan.claimed.aspect)
+        return [SeenPlan(source.plan, np.array([wide, 1 / wide]), source.plan.claimed.mirrored)]
     posed: PosedSet | None = source.posed
     assert posed is not None, "it is one of the two"
     views = [view for view in posed.ground_pictures if view.frame is not None]

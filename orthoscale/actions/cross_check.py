@@ -74,8 +74,8 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     plan, posed = plan_and_posed(ortho.source, model.source)
     places = posed.from_above(model.votes.place[model.scale.used])
     pixels = plan.from_above(ortho.votes.place[ortho.scale.used])
-    if (transform := plan.claimed.transform) is not None and transform.determinant > 0:
-        pixels = pixels * (1, -1)  # rows go north, or columns west: the picture shows the ground mirrored
+    if plan.claimed.mirrored:
+        pixels = pixels * (1, -1)
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,

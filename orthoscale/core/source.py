@@ -42,7 +42,7 @@ class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
     it. unit_known : False if nothing says of what unit `gsd_m` is. why : the reason, for people. crs, transform : the
     georeferencing behind it, None without any. aspect : how many times as wide as high a pixel is on the ground, 1
-    where that is not known."""
+    where that is not known. mirrored : whether the picture shows the ground so: its rows go north, or columns west."""
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -58,6 +58,8 @@ class Claim(Protocol):
     def transform(self) -> Any: ...
     @property
     def aspect(self) -> float: ...
+    @property
+    def mirrored(self) -> bool: ...
 
 
 class Pictures(Protocol):

@@ -57,7 +57,7 @@ class MetricOrthophoto:
         north = np.array([math.sin(a), math.cos(a)])
         east = north[::-1] * (1, -1)
         # Rows may go north, or columns west: what is stored then is the ground's mirror image.
-        return np.array([-east if self.transform.determinant > 0 else east, north])
+        return np.array([-east if self.source.claimed.mirrored else east, north])
 
     def to_metres(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to metres east and north of the picture's lower left corner."""

@@ -57,6 +57,11 @@ class Claim:
     aspect: float = 1.0
     unit_known: bool = True
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether the picture shows the ground mirrored: its rows go north, or its columns west."""
+        return self.transform is not None and self.transform.determinant > 0
+
 
 @dataclass(frozen=True)
 class CopyGeoreference:
@@ -229,7 +234,7 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
         said += f"; the georeferencing of the input ({claim.why}) is not in it (--keep-origin keeps its place)"
     elif t is not None or "not georeferenced" not in claim.why:
         said += f"; the georeferencing of the input is not used and not in it: {claim.why}"
-    if t is not None and t.determinant > 0:
+    if claim.mirrored:
         return CopyGeoreference(
             LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input"
         )

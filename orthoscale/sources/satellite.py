@@ -31,7 +31,7 @@ class Satellite:
         claim = source.claimed
         if not claim.usable or claim.transform is None:
             raise UsageError(f"{path} has no place on Earth: {claim.why}", "Give a georeferenced satellite picture.")
-        if claim.transform.determinant > 0:
+        if claim.mirrored:
             raise UsageError(f"{path}: the ground is mirrored in it ({claim.why})", "Turn it north-up with gdalwarp.")
         return cls(source, claim.transform, pyproj.CRS.from_user_input(claim.crs))
 
