@@ -10,6 +10,7 @@ import numpy as np
 import pyogrio
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 from support import in_process
 from support.bodies import CAR, VAN, VAN_CORNER, block, body
@@ -149,6 +150,16 @@ def test_place_altitude_and_camera(tmp_path, place):
 @pytest.mark.parametrize("xmp", ['Camera:Pitch="-60,5"', 'drone-dji:GimbalPitchDegree="-60,5"'])
 def test_a_pitch_that_is_no_number_is_said(tmp_path, xmp):
     assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is no number: passed over",)
+
+
+@pytest.mark.parametrize("unknown", [(0, 0), (2**31, 1), (2**32 - 1, 1)])
+def test_a_number_that_is_unknown_or_infinite_is_none(tmp_path, unknown):
+    """DJI writes 0/0 where nothing is zoomed, and COLMAP's undistorter makes 80000000/1 of it."""
+    exif, value = Image.Exif(), IFDRational(*unknown)
+    exif.get_ifd(0x8769).update({0xA404: value, 0x920A: value, 0xA20E: value})
+    Image.new("RGB", (8, 6)).save(tmp_path / "a.jpg", exif=exif)
+    tags = read_tags(tmp_path / "a.jpg")
+    assert (tags.digital_zoom, tags.focal_mm, tags.plane_px_per_mm) == (1.0, None, None)
 
 
 def test_damaged_xmp_is_passed_over_and_said(tmp_path):

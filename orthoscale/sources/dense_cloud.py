@@ -46,7 +46,7 @@ class DenseCloud:
     @property
     def what(self) -> str:
         """What it is called in a sentence."""
-        return f"the depth maps in {self.path}" if self.path.is_dir() else f"the dense cloud {self.path}"
+        return f"the cloud of the depth maps in {self.path}" if self.path.is_dir() else f"the dense cloud {self.path}"
 
     @property
     def files(self) -> list[Path]:

@@ -36,6 +36,9 @@ SAME_SHAPE = 0.005  # relative: what a picture's aspect may change when it is ma
 READABLE_PHOTOS = (
     "Give photos as JPEG, TIFF or PNG; convert HEIC and raw photos with their tags, and take frames of videos."
 )
+# EXIF says "unknown" as 0/0 and "infinite" as FFFFFFFF/x (CIPA DC-008, 4.6.5). COLMAP's undistorter, by OpenImageIO,
+# writes such tags as 80000000/1: nothing that a photo tells is so large.
+NO_NUMBER = 2.0**31 - 1
 BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no survey camera looks that far backwards
 
 
@@ -271,12 +274,12 @@ def _letter(value: Any) -> str:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number; in XMP it may be a fraction, too, as EXIF's are there."""
+    """A number that is neither unknown nor infinite; in XMP it may be a fraction, too, as EXIF's are there."""
     try:
         number = float(Fraction(value) if isinstance(value, str) and "/" in value else value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
-    return number if math.isfinite(number) else None
+    return number if abs(number) < NO_NUMBER else None
 
 
 def _positive(value: Any) -> float | None:
