@@ -293,6 +293,8 @@ def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_
         ("cloud.e57", "As PLY"),
         ("flight.mp4", "reconstruct its frames"),
         ("database.db", "sparse/0"),
+        ("ortho.zip", "unpack it"),
+        ("ortho.tif.gz", "unpack it"),
         ("notes.xml", "GeoTIFF"),
     ],
 )
@@ -302,6 +304,25 @@ def test_what_is_no_picture_and_no_model_is_told_its_way(tmp_path, name, said):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match="GDAL") as told:
         open_source(tmp_path / name)
+    assert said in told.value.hint
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("https://example.org/ortho.tif", "download"),
+        ("s3://bucket/ortho.tif", "download"),
+        ("/vsizip/flight.zip/ortho.tif", "unpack"),
+        ("/vsicurl/https://example.org/ortho.tif", "download"),
+        ("GTIFF_DIR:2:ortho.tif", "download"),
+        ("C:/flight/ortho.tif", "Give an orthophoto"),
+        ("vsizip/ortho.tif", "Give an orthophoto"),
+    ],
+)
+def test_what_is_on_no_disk_is_told_its_way(name, said):
+    """Addresses and GDAL's own folders only "did not exist"."""
+    with pytest.raises(InputError, match="does not exist") as told:
+        open_source(name)
     assert said in told.value.hint
 
 

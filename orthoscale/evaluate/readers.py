@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import files_below, read_table, read_text, refuse_repeated
+from ..formats.reading import absent, files_below, read_table, read_text, refuse_repeated
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
 from .surface import Surface
@@ -50,7 +50,7 @@ def read_samples(
     the data set says. Raises InputError.
     """
     if not path.exists():
-        raise InputError(f"{path} does not exist", "Give a folder, or a CSV file.")
+        raise absent(path, "Give a folder, or a CSV file.")
     form = form or _looks_like(path)
     readers: dict[str, Callable[..., tuple[list[Sample], list[str]]]] = {
         "denseuav": read_denseuav,

@@ -27,6 +27,7 @@ PACKED = (
 )
 VIDEO = "A video is not read: reconstruct its frames with COLMAP and give the model; or give an orthophoto of it."
 DATABASE = "A database of COLMAP holds no model: give the folder that `colmap mapper` wrote, such as sparse/0."
+ARCHIVE = "Archives are not read: unpack it, and give the file or folder that was in it."
 SIM3 = "It is the result of `orthoscale fix`, for `orthoscale apply`: give the model itself."
 BY_ENDING = {
     **dict.fromkeys((".psx", ".psz"), METASHAPE),
@@ -35,6 +36,7 @@ BY_ENDING = {
     **dict.fromkeys((".sfm", ".abc", ".mg"), MESHROOM),
     ".mvs": OPENMVS,
     ".db": DATABASE,
+    **dict.fromkeys((".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst", ".kmz"), ARCHIVE),
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".mts", ".webm"), VIDEO),
     **dict.fromkeys(
         (".las", ".laz", ".ply", ".obj", ".glb", ".gltf", ".stl", ".off", ".pcd", ".pts", ".splat"), GEOMETRY

@@ -24,6 +24,10 @@ HUGE = 1024 * MIB  # a model with its points
 LFS_POINTER = b"version https://git-lfs"  # how it begins
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
+NOT_FETCHED = "Only files on this computer are read: download or unpack it, and give the file."
+# How addresses begin, GDAL's names of what is within a file, and its folders that are on no disk.
+_NO_FILE = re.compile(r"[A-Za-z][\w+.-]+:|/vsi\w+/")
+
 EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it anew."
 
 T = TypeVar("T")
@@ -59,6 +63,11 @@ def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
     if large or len(content) > most:
         raise InputError(f"{path}: larger than the {most // MIB} MiB that such a file may have", hint)
     return content
+
+
+def absent(path: Path, hint: str) -> InputError:
+    """The error of an input that is not there; its hint is another one where the name is of something elsewhere."""
+    return InputError(f"{path} does not exist", NOT_FETCHED if _NO_FILE.match(str(path)) else hint)
 
 
 def check_regular(path: Path, hint: str = "") -> None:

@@ -33,7 +33,7 @@ from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
-from ..formats.reading import files_below
+from ..formats.reading import absent, files_below
 from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import READABLE_PHOTOS, Tags, read_tags
@@ -181,7 +181,7 @@ def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
         elif path.exists():
             named = {path.name: path}
         else:
-            raise InputError(f"{path} does not exist", "Give photos, or a folder of them.")
+            raise absent(path, "Give photos, or a folder of them.")
         for name, place in named.items():
             if found.setdefault(name, place) != place:
                 raise InputError(f"{place} and {found[name]} have the same name", "Measure them one after the other.")

@@ -14,6 +14,7 @@ from ..core.remarks import INFO, Remark
 from ..errors import InputError
 from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders
 from ..formats.geometry.ply import points_in
+from ..formats.reading import absent
 from ..system.paths import homes
 from .colmap_check import open_model
 from .colmap_write import read_model
@@ -107,7 +108,7 @@ def cloud_at(path: Path, progress: Progress | None = None) -> DenseCloud:
             )
         return DenseCloud(fused if fused.is_file() else path, True, progress)
     if not path.is_file():
-        raise InputError(f"{path} does not exist", "Name a dense cloud (.ply) or a dense workspace of COLMAP.")
+        raise absent(path, "Name a dense cloud (.ply) or a dense workspace of COLMAP.")
     if path.suffix.lower() != ".ply":
         raise InputError(f"{path} is no PLY file", "Export the cloud as .ply, in the reconstruction's coordinates.")
     return DenseCloud(path, True, progress)

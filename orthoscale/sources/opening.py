@@ -10,7 +10,7 @@ from ..core.remarks import CAUTION, Remark
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..formats.geometry.text_models import SUFFIXES
-from ..formats.reading import check_regular, refuse_pointer
+from ..formats.reading import absent, check_regular, refuse_pointer
 from .colmap_tables import FILE_NAMES
 from .exchange_files import find_exchange
 
@@ -37,7 +37,7 @@ def open_source(
     """
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
-        raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+        raise absent(path, "Give an orthophoto, or the folder of a COLMAP model.")
     if (text := find_exchange(path)) is not None:
         if text.suffix.lower() in SUFFIXES:
             from .text_model import TextSource

@@ -24,6 +24,7 @@ from ..core.source import NO_DATA_GREY, Located, Picture, Placement
 from ..errors import InputError, UsageError
 from ..formats.other_programs import what_instead
 from ..formats.points import pixel
+from ..formats.reading import absent
 from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import Stamp, another, fingerprint, require_unchanged
@@ -119,7 +120,7 @@ class RasterSource:
         if path.is_dir():
             raise InputError(f"{path} is a folder, not an image", "Name one image file inside it.")
         if not path.is_file():
-            raise InputError(f"{path} does not exist", "Check the path.")
+            raise absent(path, "Check the path.")
         try:
             with path.open("rb") as file:
                 empty = not file.read(1)

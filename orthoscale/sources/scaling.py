@@ -9,9 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..errors import InputError, UsageError
+from ..errors import UsageError
 from ..formats.geometry.dense import is_dense
 from ..formats.geometry.files import WrittenFiles, scale_file
+from ..formats.reading import absent
 from .cameras import cameras_in, refuse_another
 from .colmap import scale_model, scale_workspace
 from .colmap_check import model_folders
@@ -33,7 +34,7 @@ def scale_path(
     for several models in one folder, and for a model whose cameras stand elsewhere.
     """
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
-        raise InputError(f"{source} does not exist", "Give files in the units of the model.")
+        raise absent(source, "Give files in the units of the model.")
     if not source.is_dir():
         notes = scale_file(source, target, scale, others)
         if metric:

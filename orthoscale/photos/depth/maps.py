@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...core.boxes import Boxes
 from ...errors import InputError, UsageError
+from ...formats.reading import absent
 from ...requests import PhotoRequest
 from ..measure import Measure, Photo
 from .files import MAP_ENDINGS, read_depth
@@ -26,7 +27,7 @@ class Depths:
         self._rule = rule_of(factor)
         self._network = None
         if not path.exists():
-            raise InputError(f"{path} does not exist", "Give a depth map, a folder of them, or a network (.onnx).")
+            raise absent(path, "Give a depth map, a folder of them, or a network (.onnx).")
         if path.suffix.lower() == ".onnx":
             if factor is None:
                 raise UsageError(
