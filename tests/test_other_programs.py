@@ -332,6 +332,7 @@ def test_what_is_on_no_disk_is_told_its_way(name, said):
         ("sfm_data.json", {"sfm_data_version": "0.3", "views": []}, "openMVG2Colmap"),
         ("scene.json", {"version": ["1", "2"], "featuresFolders": [], "views": []}, "aliceVision_exportColmap"),
         ("sim3.json", {"scale": 2.0}, "orthoscale apply"),
+        ("cameras.json", {"a.jpg": {"focal": 0.9}}, "made from"),
         ("any.json", {"a": 1}, "nerfstudio"),
         ("number.json", 3, "nerfstudio"),
     ],

@@ -76,6 +76,19 @@ def test_ply(tmp_path, form):
         scale_path(tmp_path / "b.ply", tmp_path / "c.ply", SCALE)
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_whole_numbers_of_64_bit_stay(tmp_path, order):
+    """Such a header was "damaged or cut off"."""
+    row = np.dtype([("x", order + "f4"), ("y", order + "f4"), ("z", order + "f4"), ("t", order + "u8")])
+    names = "".join(f"property {'uint64' if name == 't' else 'float'} {name}\n" for name in row.names)
+    form = "binary_little_endian" if order == "<" else "binary_big_endian"
+    head = f"ply\nformat {form} 1.0\nelement vertex 2\n{names}end_header\n".encode()
+    (tmp_path / "a.ply").write_bytes(head + np.array([(1, 2, 3, 2**63 + 1), (4, 5, 6, 7)], row).tobytes())
+    scale_path(tmp_path / "a.ply", tmp_path / "b.ply", 2.0)
+    new = np.frombuffer((tmp_path / "b.ply").read_bytes().split(b"end_header\n")[1], row)
+    assert new["t"].tolist() == [2**63 + 1, 7] and new["z"].tolist() == [6, 12]
+
+
 def test_a_splat_keeps_its_shape(tmp_path):
     fields = ["x", "y", "z", "f_dc_0", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     rows = np.random.default_rng(0).normal(size=(5, len(fields))).astype(np.float32)
@@ -531,6 +544,28 @@ def test_transforms_with_their_cloud(tmp_path):
     assert np.allclose(read_ply(tmp_path / "out/sparse_pc.ply", 3)[0], SCALE * XYZ)
     with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "out/transforms.json", tmp_path / "b.json", SCALE)
+
+
+def test_the_cameras_beside_a_splat_move_with_it(tmp_path):
+    """They had no reader, and a viewer then began far off the scaled splat."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    view = {"id": 0, "img_name": "a", "width": 8, "position": [1, -2, 3.5], "rotation": np.eye(3).tolist(), "fy": 9.0}
+    (tmp_path / "in/cameras.json").write_text(json.dumps([view, {**view, "img_name": "b"}]))
+    assert scale_path(tmp_path / "in/cameras.json", tmp_path / "out/cameras.json", SCALE) == []
+    first, second = json.loads((tmp_path / "out/cameras.json").read_text())
+    assert np.allclose(first["position"], SCALE * np.array([1, -2, 3.5]))
+    assert second["position"] == first["position"]
+    assert {name: first[name] for name in view} == {**view, "position": first["position"]}
+    with pytest.raises(UsageError, match="in metres already"):
+        scale_path(tmp_path / "out/cameras.json", tmp_path / "b.json", SCALE)
+    metric = {"a": np.array([1, -2, 9.0]) * SCALE, "b": np.array([1, -2, 3.5]) * SCALE}
+    with pytest.raises(UsageError, match="a stands elsewhere"):
+        scale_path(tmp_path / "in/cameras.json", tmp_path / "b.json", SCALE, metric=metric)
+    for text in ([], {"a.jpg": {"focal": 0.9}}, [{**view, "position": [1, 2]}]):
+        (tmp_path / "in/cameras.json").write_text(json.dumps(text))
+        with pytest.raises(InputError, match="list of cameras"):
+            scale_path(tmp_path / "in/cameras.json", tmp_path / "b.json", SCALE)
 
 
 def test_all_lengths_of_instant_ngp_grow(tmp_path):

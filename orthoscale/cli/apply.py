@@ -26,9 +26,9 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
 
     FILEs are in the units of the model that SIM3 belongs to, and are written again in metres. SIM3 is the sim3.json
     that `orthoscale fix` wrote. FILE is a PLY (cloud, mesh or Gaussian splat), OBJ, GLB or glTF, nerfstudio's
-    transforms.json, OpenSfM's reconstruction.json, the folder of a sparse model or dense workspace, LAS, LAZ, PCD,
-    XYZ, PTS, STL, OFF or .splat. What has no length (colours, normals, rotations, intrinsics) stays. All files appear
-    in --out, or none. FILEs are never touched.
+    transforms.json, OpenSfM's reconstruction.json, a splat's cameras.json, the folder of a sparse model or dense
+    workspace, LAS, LAZ, PCD, XYZ, PTS, STL, OFF or .splat. What has no length (colours, normals, rotations, intrinsics)
+    stays. All files appear in --out, or none. FILEs are never touched.
     """
     from ..actions import apply as applying
     from ..formats.geometry.sim3 import Sim3

@@ -28,6 +28,7 @@ PACKED = (
 VIDEO = "A video is not read: reconstruct its frames with COLMAP and give the model; or give an orthophoto of it."
 DATABASE = "A database of COLMAP holds no model: give the folder that `colmap mapper` wrote, such as sparse/0."
 ARCHIVE = "Archives are not read: unpack it, and give the file or folder that was in it."
+CAMERAS = "It has no picture's size and no points: give the model that it was made from, or the orthophoto."
 SIM3 = "It is the result of `orthoscale fix`, for `orthoscale apply`: give the model itself."
 BY_ENDING = {
     **dict.fromkeys((".psx", ".psz"), METASHAPE),
@@ -43,7 +44,7 @@ BY_ENDING = {
     ),
     **dict.fromkeys((".e57", ".fbx", ".ksplat", ".spz"), PACKED),
 }
-BY_NAME = {"sfm_data.bin": OPENMVG, "sfm_data.json": OPENMVG, "sim3.json": SIM3}
+BY_NAME = {"sfm_data.bin": OPENMVG, "sfm_data.json": OPENMVG, "sim3.json": SIM3, "cameras.json": CAMERAS}
 BY_KEY = {"sfm_data_version": OPENMVG, "featuresFolders": MESHROOM}  # of JSON
 BY_ROOT = {b"<document": METASHAPE, b"<BlocksExchange": METASHAPE}  # of XML
 XML_HEAD = 4096  # [bytes] of a file in which the root of its XML stands

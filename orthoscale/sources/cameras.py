@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ..errors import InputError, UsageError
-from ..formats.geometry.poses import camera_centres, read_poses
+from ..formats.geometry.poses import SPLAT_CAMERAS, camera_centres, read_poses, splat_centres
 from ..formats.geometry.text_models import SUFFIXES, image_names, read_text_model
 from .colmap_check import open_model
 from .colmap_write import read_model
@@ -31,6 +31,8 @@ def cameras_of(folder: Path) -> dict[str, np.ndarray]:
 def cameras_in(path: Path) -> dict[str, np.ndarray]:
     """The same of another program's model in the file `path`; none for other files, and where names are missing.
     Raises InputError for a damaged one."""
+    if path.name == SPLAT_CAMERAS:
+        return splat_centres(path)
     if path.suffix.lower() == ".json":
         return camera_centres(read_poses(path))
     if path.suffix.lower() not in SUFFIXES:

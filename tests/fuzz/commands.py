@@ -322,9 +322,10 @@ def geometry(bench: Bench, rng: Rng) -> Attempt:
 
 def other_geometry(bench: Bench, rng: Rng) -> Attempt:
     clouds = ("ascii.pcd", "binary.pcd", "binary_compressed.pcd", "points.laz", "points.xyz", "points.splat")
-    name = rng.choice((*clouds, "mesh.off", "text.stl", "binary.stl"))
+    name = rng.choice((*clouds, "mesh.off", "text.stl", "binary.stl", "cameras.json"))
     path = bench.take("geometry") / name
-    harm(path, rng, damage.text if name in ("ascii.pcd", "points.xyz", "mesh.off", "text.stl") else damage.binary)
+    texts = ("ascii.pcd", "points.xyz", "mesh.off", "text.stl", "cameras.json")
+    harm(path, rng, damage.text if name in texts else damage.binary)
     return Attempt(("apply", "in/sim3.json", f"in/{name}", "--out", "out"))
 
 

@@ -273,6 +273,8 @@ def _geometry(folder: Path) -> None:
     for form in ("ascii", "binary", "binary_compressed"):
         (folder / f"{form}.pcd").write_bytes(geometry.pcd(form, geometry.pcd_body(form, rows)))
     (folder / "points.laz").write_bytes(geometry.las(b"laszip encoded", 22204, b"any", form=0x83))
+    view = {"id": 0, "img_name": "a.jpg", "position": [1, 2, 3], "rotation": np.eye(3).tolist(), "fx": 50, "fy": 50}
+    (folder / "cameras.json").write_text(json.dumps([view]))
     (folder / "points.xyz").write_text("x,y,z,class\n1,2,3,4\n-4,0.5,6e1,7\n")
     (folder / "mesh.off").write_text("COFF\n# a comment\n3 1 0\n1 2 3 255 0 0\n-4 0.5 6 0 0 0\n0 0 1 0 0 0\n3 0 1 2\n")
     triangle = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"

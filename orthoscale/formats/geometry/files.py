@@ -17,13 +17,13 @@ from .lines import POINTS, scale_off, scale_points
 from .obj import scale_obj
 from .pcd import scale_pcd
 from .ply import scale_ply
-from .poses import read_poses, scale_reconstruction, scale_transforms
+from .poses import SPLAT_CAMERAS, read_poses, scale_reconstruction, scale_splat_cameras, scale_transforms
 from .records import scale_splat, scale_stl
 from .text_models import BUNDLER, SUFFIXES, scale_text_model
 
 KNOWN = (
-    "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, "
-    "NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
+    "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, cameras.json, "
+    "bundle.out, NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
 # Formats of one file each.
 ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
@@ -72,6 +72,8 @@ def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | 
         copied = WITH_OTHERS[suffix](source, target, scale)
     elif suffix in ONE_FILE:
         notes = ONE_FILE[suffix](source, target, scale) or []
+    elif source.name == SPLAT_CAMERAS:
+        scale_splat_cameras(source, target, scale)
     elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":

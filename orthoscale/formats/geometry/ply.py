@@ -25,6 +25,7 @@ PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+    **{"int64": "i8", "uint64": "u8"},  # not Turk's; of numbers of points, and of times
 }
 ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 ROWS = 1 << 17  # vertices in memory at once

@@ -1,4 +1,5 @@
-"""Camera files in JSON: nerfstudio's and instant-ngp's transforms.json, OpenSfM's and ODM's reconstruction.json."""
+"""Camera files in JSON: nerfstudio's and instant-ngp's transforms.json, OpenSfM's and ODM's reconstruction.json, and
+the cameras.json that trainers of Gaussian splats write beside them (Kerbl et al. 2023)."""
 
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ INTEGER_DEPTH = "integer_depth_scale"
 POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the latter of a rolling shutter
 EXTENTS = ("aabb", "near", "far")  # lengths that say what part of the world is looked at
 CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
+SPLAT_CAMERAS = "cameras.json"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
 
@@ -37,6 +39,35 @@ def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     else:
         checked(text, Transforms, str(path), "a transforms.json", hint)
     return text
+
+
+def read_splat_cameras(path: Path) -> list[dict[str, Any]]:
+    """The plain values of a splat's cameras.json. Raises InputError."""
+    from ..schemas.models import SplatCamera
+
+    hint = 'Expected [{"img_name", "position", "rotation" ...}], as it lies beside a Gaussian splat.'
+    text = read_plain(path, "a splat's list of cameras", hint, HUGE)
+    checked(text, list[SplatCamera], str(path), "a splat's list of cameras", hint)
+    if not text:
+        raise InputError(f"{path}: not a splat's list of cameras (it holds none)", hint)
+    return text
+
+
+def splat_centres(path: Path) -> dict[str, np.ndarray]:
+    """(3,) where each camera of a splat's cameras.json stands, by its image's name. Raises InputError."""
+    return {each["img_name"]: np.array(each["position"], float) for each in read_splat_cameras(path)}
+
+
+def scale_splat_cameras(source: Path, target: Path, scale: float) -> None:
+    """Write a splat's cameras.json in metres: their positions. Raises InputError; UsageError for one in metres
+    already."""
+    text = read_splat_cameras(source)
+    for each in text:
+        if MARK in each:
+            refuse_marked(source)
+        each["position"] = _grown(each["position"], scale)
+        each[MARK] = mark(scale)
+    target.write_text(json.dumps(text), encoding="utf-8")
 
 
 def camera_centres(text: dict[str, Any] | list[dict[str, Any]]) -> dict[str, np.ndarray]:

@@ -131,6 +131,13 @@ class OpensfmPart(Struct):
     rig_cameras: dict[str, OpensfmPlaced] = {}
 
 
+class SplatCamera(Struct):
+    """A view in the ``cameras.json`` beside a Gaussian splat: where it was [units of the model, world]."""
+
+    img_name: Text
+    position: Vector
+
+
 class ReferenceLla(Struct):
     """OpenSfM's place of a reconstruction [degrees, WGS 84]."""
 
