@@ -560,7 +560,7 @@ def test_the_cameras_beside_a_splat_move_with_it(tmp_path):
     with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "out/cameras.json", tmp_path / "b.json", SCALE)
     metric = {"a": np.array([1, -2, 9.0]) * SCALE, "b": np.array([1, -2, 3.5]) * SCALE}
-    with pytest.raises(UsageError, match="a stands elsewhere"):
+    with pytest.raises(UsageError, match="b stands elsewhere"):
         scale_path(tmp_path / "in/cameras.json", tmp_path / "b.json", SCALE, metric=metric)
     for text in ([], {"a.jpg": {"focal": 0.9}}, [{**view, "position": [1, 2]}]):
         (tmp_path / "in/cameras.json").write_text(json.dumps(text))
