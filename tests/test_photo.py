@@ -546,7 +546,7 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
     assert got.altitude.high - got.altitude.low > alone.altitude.high - alone.altitude.low
     assert got.scale.parts["sampling"] == pytest.approx(alone.scale.parts["sampling"] * got.overlap**0.5)
     longer = open_photo(tmp_path / "0.jpg", "other.jpg", focal_px=2 * FOCAL)
-    with pytest.raises(UsageError, match="one lens"):
+    with pytest.raises(UsageError, match=rf"one lens; .* px \({photos[0].name}\) to .* px \({longer.name}\)"):
         measure_together([*photos, longer], found, fleet)
 
 

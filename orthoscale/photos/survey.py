@@ -190,8 +190,9 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
     """
     focal = np.array([p.lens.focal_px for p in photos])
     if np.ptp(focal) > SAME_FOCAL * focal.mean():
+        ends = [f"{focal[k]:.0f} px ({photos[k].name})" for k in (focal.argmin(), focal.argmax())]
         raise UsageError(
-            f"--together is for photos of one lens; focal lengths go from {focal.min():.0f} to {focal.max():.0f} px",
+            f"--together is for photos of one lens; focal lengths go from {ends[0]} to {ends[1]}",
             "Measure them in one run each.",
         )
     alone = measure(photos, found, fleet)
