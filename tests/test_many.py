@@ -20,7 +20,7 @@ from support.reports import EXAMPLE, car_park
 
 import orthoscale
 from orthoscale.actions import finished, many
-from orthoscale.actions.inputs import inputs_of, outputs_of
+from orthoscale.actions.inputs import inputs_of, not_looked_into, outputs_of
 from orthoscale.cli.many import tell_rehearsals
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
@@ -152,6 +152,20 @@ def test_what_is_named(parks, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no COLMAP model"):
         inputs_of([tmp_path / "empty"])
+    assert inputs_of([tmp_path / "empty", pictures / "a.png"]) == [tmp_path / "empty", pictures / "a.png"]
+    assert inputs_of([tmp_path / "*"]) == [tmp_path / "a.png", tmp_path / "empty", *both], "it stopped all others"
+
+
+def test_folders_that_are_not_looked_into_are_said(tmp_path):
+    """Of an archive with pictures and folders of pictures the latter were left out without a word."""
+    shutil.copytree(EXAMPLE / "sparse", tmp_path / "model/sparse")
+    for k in range(7):
+        (tmp_path / f"{2020 + k}").mkdir()
+        (tmp_path / f"{2020 + k}" / "a.jp2").touch()
+    (tmp_path / "notes").mkdir()
+    (told,) = not_looked_into([tmp_path, tmp_path / "2020", tmp_path / "model"])
+    assert "not looked into 2020, 2021, 2022, 2023, 2024 and 2 more;" in told and f"'{tmp_path}/*/*.jp2'" in told
+    assert not_looked_into([tmp_path / "none", tmp_path / "*"]) == []
 
 
 def test_copies_of_one_name_take_that_of_their_folders(tmp_path):

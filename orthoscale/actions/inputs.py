@@ -7,6 +7,7 @@ import hashlib
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from ..sources.exchange_files import find_exchange
 from ..system.signatures import ours
 from .finished import input_of, report_of
 from .workspace import models_in
+
+MOST_NAMED = 5  # folders, in a sentence
 
 
 def is_many(words: Sequence[Path]) -> bool:
@@ -28,9 +31,11 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
 
     A folder that holds no model stands for the pictures and the models in it (but for a report's pictures), a
     pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it, and a workspace with several models for each of them,
-    also where a folder or a pattern stands for it. What does not exist stands for itself. Raises InputError for a
-    pattern that nothing fits, and for a folder in which there is nothing.
+    also where a folder or a pattern stands for it. What does not exist stands for itself, and so does a folder in which
+    there is nothing: what is wrong with it stops no other input. Raises InputError for a pattern that nothing fits, and
+    for such a folder alone.
     """
+    words = list(words)
     found: dict[str, Path] = {}
     for word in words:
         named = [word]
@@ -40,9 +45,31 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
                 raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
         for path in named:
             for each in _in_folder(path) or [path]:
-                for one in models_in(each) or [each]:
+                for one in _models_in(each, alone=len(words) == len(named) == 1) or [each]:
                     found.setdefault(os.path.realpath(one), one)
     return list(found.values())
+
+
+def not_looked_into(words: Iterable[Path]) -> list[str]:
+    """Of each folder in `words` that stands for what is in it: the folders in it whose pictures do not count, in a
+    sentence that says how to name these."""
+    told = []
+    for word in words:
+        inside = sorted(word.iterdir()) if _in_folder(word) else []
+        below = [each for each in inside if each.is_dir() and each.name[:1] != "." and not _is_model(each)]
+        pictures: dict[Path, Path] = {}
+        for folder in below:
+            with suppress(OSError, StopIteration):  # one that may not be listed, or has none
+                pictures[folder] = next(iter(_in_folder(folder)))
+        if pictures:
+            names = ", ".join(folder.name for folder in [*pictures][:MOST_NAMED])
+            more = len(pictures) - MOST_NAMED
+            pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
+            told.append(
+                f"{word}: not looked into {names}{f' and {more} more' if more > 0 else ''}; "
+                f"what is in folders below is named by a pattern: '{pattern}', in quotes"
+            )
+    return told
 
 
 def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
@@ -114,6 +141,15 @@ def _owner(out: Path) -> Path | None:
 def is_picture(path: Path) -> bool:
     """Whether an input is a picture; else it is a model. Looks at its name and kind only."""
     return not path.is_dir() and find_exchange(path) is None
+
+
+def _models_in(path: Path, alone: bool) -> list[Path]:
+    try:
+        return models_in(path)
+    except InputError:
+        if alone:
+            raise
+        return []
 
 
 def _is_pattern(word: Path) -> bool:

@@ -140,12 +140,14 @@ def run(
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
     from ..actions.finished import is_finished
-    from ..actions.inputs import inputs_of, outputs_of
+    from ..actions.inputs import inputs_of, not_looked_into, outputs_of
     from ..actions.many import check_folder, run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
     found = inputs_of(many.words)
+    for told in not_looked_into(many.words):
+        say(told, err=True)
     places = None if out is None else outputs_of(found, out)
     request.check_for_many()
     if out is not None:
