@@ -190,7 +190,7 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
     """
     focal = np.array([p.lens.focal_px for p in photos])
     if np.ptp(focal) > SAME_FOCAL * focal.mean():
-        ends = [f"{focal[k]:.0f} px ({photos[k].name})" for k in (focal.argmin(), focal.argmax())]
+        ends = [f"{focal[k]:.0f} px ({photos[k].name})" for k in map(int, (focal.argmin(), focal.argmax()))]
         raise UsageError(
             f"--together is for photos of one lens; focal lengths go from {ends[0]} to {ends[1]}",
             "Measure them in one run each.",
