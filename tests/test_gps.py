@@ -260,5 +260,10 @@ def test_a_model_in_a_maps_coordinates_is_metric_already(tmp_path):
     assert ColmapSource.open(folder, need_images=False).metric_already == ""
     model = pycolmap.Reconstruction(folder)
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([480_027.0, 4_979_967.0, 50.0])))
-    model.write(tmp_path)
-    assert "as on a map" in ColmapSource.open(tmp_path, need_images=False).metric_already
+    (tmp_path / "on_map").mkdir()
+    model.write(tmp_path / "on_map")
+    source = ColmapSource.open(tmp_path / "on_map", need_images=False)
+    assert "as on a map" in source.metric_already
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 1.01)
+    assert [note.text for note in source.notes if "50,030 m away from its place" in note.text], "nothing told it"

@@ -137,7 +137,11 @@ def test_a_nerfstudio_model_in_a_maps_coordinates_is_metric_already(made, tmp_pa
     path.write_text(json.dumps(text))
     points = np.array([p.xyz for p in made[0].points3D.values()])
     ply(tmp_path / "sparse_pc.ply", "ascii", ["x", "y", "z"], points + on_map)
-    assert "as on a map" in open_source(path, need_images=False).metric_already
+    source = open_source(path, need_images=False)
+    assert "as on a map" in source.metric_already
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 1.01)
+    assert any("40,311 m away from its place" in note.text for note in source.notes)
 
 
 def test_a_colmap_model_comes_first(made, tmp_path):

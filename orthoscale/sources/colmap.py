@@ -211,9 +211,21 @@ class ColmapSource:
         return self.scaled_already or self._georeferenced
 
     @cached_property
-    def _georeferenced(self) -> str:
+    def _off_origin(self) -> tuple[float, float]:
+        """How far its cameras stand from its origin, and from each other [model units]."""
         centres = np.array([self.centre(name) for name in self.picture_names])
-        away, extent = np.linalg.norm(np.median(centres, axis=0)), np.linalg.norm(np.ptp(centres, axis=0))
+        return float(np.linalg.norm(np.median(centres, axis=0))), float(np.linalg.norm(np.ptp(centres, axis=0)))
+
+    def _tell_moved(self, scale: float) -> None:
+        """Say that a model in the coordinates of a map, `scale` times as large about their origin, is elsewhere."""
+        away, extent = self._off_origin
+        if away > FAR_OFF * extent > 0:
+            moved = f"the copy is {abs(scale - 1) * away:,.0f} m away from its place there"
+            self.notes.extend(informing([f"its coordinates, as of a map, grow about their own origin: {moved}"]))
+
+    @cached_property
+    def _georeferenced(self) -> str:
+        away, extent = self._off_origin
         if away > FAR_OFF * extent > 0:
             return f"its cameras stand {away:,.0f} from its origin and within {extent:,.0f} of each other, as on a map"
         for told in self.gps.evidence:
@@ -333,6 +345,7 @@ class ColmapSource:
         except OSError as error:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
         self.notes.extend(note for note in notes if note not in self.notes)
+        self._tell_moved(sim3.scale)
 
     @cached_property
     def dense(self) -> Path:

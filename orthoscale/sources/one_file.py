@@ -44,6 +44,7 @@ class OneFileSource(ColmapSource):
         problem = difference(self._model, self._read_back(out), sim3.scale, DIGITS)
         if problem:
             raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+        self._tell_moved(sim3.scale)
 
     @abstractmethod
     def _write_file(self, out: Path, scale: float) -> None:
