@@ -333,6 +333,13 @@ def test_the_folder_that_names_start_from_is_told(plain, tmp_path):
             ColmapSource.open(folder, images=tmp_path / given)
 
 
+@pytest.mark.parametrize("below", ["flight", "2024/flight"])
+def test_the_folder_below_that_has_the_frames_is_told(plain, model_bin, tmp_path, below):
+    put_frames(plain, tmp_path / "photos" / below)
+    with pytest.raises(InputError, match=rf"(?s)00.png, and it lies in .*--images .*photos/{below}\."):
+        ColmapSource.open(model_bin, images=tmp_path / "photos")
+
+
 def test_frames_and_database_beside_a_link(plain, tmp_path):
     folder = save(plain, tmp_path / "disk/of/many/projects/sparse/0", "bin")
     put_frames(plain, tmp_path / "work/images")

@@ -75,6 +75,8 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             raise InputError(
                 f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
             )
+        if given is not None and (start := _below(given, missing[0])) is not None:
+            raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
             raise InputError(
                 f"{what}, and {near} is of another name",
@@ -85,6 +87,16 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
         )
     return best, missing
+
+
+def _below(folder: Path, name: str) -> Path | None:
+    """A folder that has the image `name`, one or two levels below `folder`."""
+    with suppress(OSError):  # one of them is not to be read
+        for level in ("*", "*/*"):
+            for place in sorted(folder.glob(level)):
+                if file_in(place, name) is not None:
+                    return place
+    return None
 
 
 def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
