@@ -1,8 +1,8 @@
 """Figures of the source code itself, as in docs/architecture.md: `python benchmarks/structure.py [CHECKOUT]`.
 
-Everything is counted from the syntax trees, so that an old checkout can be compared with this one:
+Everything is counted from the syntax trees, so that another checkout can be compared with this one:
 
-    git worktree add /tmp/old ddc9408 && python benchmarks/structure.py /tmp/old
+    git worktree add /tmp/old COMMIT && python benchmarks/structure.py /tmp/old
 """
 
 from __future__ import annotations

@@ -190,6 +190,38 @@ def test_the_tour_gives_the_figures_of_the_readme():
     assert f"vehicles   {vehicles} used" in tour and f"The truth is {100 * float(truth.split()[0]):g} cm" in tour
 
 
+def last_row(heading: str) -> list[str]:
+    """Cells of the last row of the first table below `heading` in the record of real places: what holds now."""
+    record = (ROOT / "benchmarks/results/places.md").read_text().partition(heading)[2]
+    table = re.search(r"(?:^\|.*\n)+", record, re.MULTILINE)[0]
+    return [cell.strip() for cell in table.splitlines()[-1].strip("|").split("|")]
+
+
+def test_the_figures_of_real_places_are_the_same_on_every_page():
+    """Measured anew, they are written anew on all of them, not only in the record."""
+    _, own, world, _ = last_row("What each step changed")
+    median, squares, worst, held, scenes = re.findall(r"[\d.]+", own)
+    world_median, world_squares, world_worst, world_held, answered = re.findall(r"[\d.]+", world)
+    _, chips, chips_held, world_chips, world_chips_held = last_row("### American places made of chips")
+    _, chips_median, chips_squares, chips_worst = re.findall(r"[\d.]+", chips)
+    quarters_held = last_row("### Quarters")[-1]
+    told = {name: " ".join((ROOT / name).read_text().split())
+            for name in ("README.md", "docs/pypi.md", "docs/method.md", "benchmarks/README.md")}  # fmt: skip
+    for row in (
+        f"| the country's | {scenes} | {median} % | {squares} % | {worst} % | at {held} |",
+        f"| `world` | {answered} | {world_median} % | {world_squares} % | {world_worst} % | at {world_held} |",
+        f"| the country's | 52 | {chips_median} % | {chips_squares} % | {chips_worst} % | at {chips_held} |",
+        f"| `world` | 51 | | {world_chips} | | at {world_chips_held.removesuffix(' of 51')} |",
+    ):
+        assert row in told["README.md"]
+    assert f"On {scenes} pictures and models" in told["docs/pypi.md"]
+    assert f"{median} % in the median, and the 90 % interval holds the truth at {held}." in told["docs/pypi.md"]
+    assert f"{held} of {scenes} scenes" in told["docs/method.md"]
+    assert f"{chips_held} of 52 American places, and in {quarters_held} of 35 quarters" in told["docs/method.md"]
+    ours = f"{scenes} places in eight countries: {median} % off in the median, {held} hold"
+    assert f"{ours}; 52 American ones: {chips_median} %, {chips_held} hold" in told["benchmarks/README.md"]
+
+
 APPLIED = re.compile(r"orthoscale apply (\S+)/sim3\.json .*?--out (\S+)")
 
 
