@@ -26,7 +26,7 @@ coverage: $(INSTALLED)
 mutants: $(INSTALLED)
 	$(BIN)/python -m tests.mutants
 
-# All of the damage campaign, about 16 minutes on two idle cores; FUZZ=--short takes about one.
+# All of the damage campaign, about 17 minutes on two idle cores; FUZZ=--short takes about one.
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz $(FUZZ)
 

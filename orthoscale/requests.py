@@ -79,7 +79,7 @@ class VehicleRequest:
         None, Path, "Detector", "Another detector (.onnx) instead of the built-in one."
     )
     decoder: str | None = option(
-        None, str, "Detector", "Output form of --detector, if its file does not tell.", metavar="NAME"
+        None, str, "Detector", "Output form of --detector, if its file does not say.", metavar="NAME"
     )
     vehicle_classes: Sequence[str] = option(
         (),
@@ -207,8 +207,8 @@ class EstimateRequest(VehicleRequest):
         None,
         str,
         "Input",
-        "Dense cloud (.ply) or dense workspace of COLMAP that a model's ground is found on, or 'none' for its sparse "
-        "points alone. Default: one that lies beside the model.",
+        "Dense cloud (.ply) or dense workspace of COLMAP, from which a model's ground is found, or 'none' for its "
+        "sparse points alone. Default: one that lies beside the model.",
         is_file=_is_no_word,
         metavar="PLY|FOLDER",
     )
@@ -222,7 +222,7 @@ class EstimateRequest(VehicleRequest):
         None,
         str,
         "Detector",
-        "Network that measures vehicles seen from above once more: 'built-in', 'none' or an .onnx file. Default: "
+        "Network that measures again the vehicles seen from above: 'built-in', 'none' or an .onnx file. Default: "
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
         is_file=_is_no_word,
         metavar="NAME",
@@ -231,8 +231,8 @@ class EstimateRequest(VehicleRequest):
         False,
         bool,
         "Detector",
-        "Both detection passes over an orthophoto by the small detector; by default a larger network makes the second, "
-        "which makes fewer mistakes and takes half as long again.",
+        "Make both detection passes over an orthophoto with the small detector. By default a larger network makes the "
+        "second: fewer mistakes, half as much time again.",
     )
     mode: str | None = option(
         None,
@@ -262,11 +262,15 @@ class EstimateRequest(VehicleRequest):
         None,
         str,
         "Advanced",
-        "From boxes in frames to the ground; exact by default, the others for comparison.",
+        "How boxes in frames are projected onto the ground; exact by default, the others for comparison.",
         choices=PROJECTIONS,
     )
     estimator: str = option(
-        "robust", str, "Advanced", "From vehicles to the scale; iqr is the paper's, for comparison.", choices=ESTIMATORS
+        "robust",
+        str,
+        "Advanced",
+        "How vehicles give the scale; iqr is the paper's, for comparison.",
+        choices=ESTIMATORS,
     )
     known_distance: Sequence[str] = option(
         (),
@@ -304,8 +308,8 @@ class EstimateRequest(VehicleRequest):
         (PROVEN,),
         str,
         "Evidence",
-        "Things of exact size to look for, beside the vehicles: all, none, or kinds of them; by default those whose "
-        "false finds are known to be rare. Repeatable.",
+        "Objects of standard size to look for, beside the vehicles: all, none, or kinds of them; by default those "
+        "whose false finds are known to be rare. Repeatable.",
         choices=ANCHORS,
         metavar="KIND",
     )

@@ -48,7 +48,7 @@ from .options import (
 @json_option("the anchors")
 @debug_option
 def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, as_json: bool, **options: Any) -> None:
-    """List and draw the things of standard size in INPUT.
+    """List and draw the objects of standard size in INPUT.
 
     Courts, pitches, lane dashes, crossings, parking bays ...: all of them, with the lines that were fitted. They are
     looked for at the scale that the vehicles give, or at --scale.

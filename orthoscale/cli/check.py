@@ -67,7 +67,7 @@ def check(
     """Compare the scale that INPUT claims with that of its vehicles.
 
     A reconstruction claims a metre per unit if orthoscale or a map's coordinates or GPS made it metric.
-    Nothing is written. The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
+    The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
     and stretched projections such as EPSG:3857 are handled.
 
     With --model the orthophoto is compared with the reconstruction it was made from (--images: its frames), by the

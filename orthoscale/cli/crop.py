@@ -33,7 +33,7 @@ from .photo_options import LENS_FLAGS, lens_options
 @click.argument("path", metavar="PHOTO", type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")
 @option("--at", metavar="LON,LAT", group="Input", help="Centre of the search area; the whole picture by default.")
-@option("--radius", type=float, metavar="M", group="Input", help="Half side of the search area; without it one crop.")
+@option("--radius", type=float, metavar="M", group="Input", help="Half the side of the search area; else one crop.")
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photo in m/px; then nothing is measured.")
 @option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
 @option("--square", is_flag=True, group="Output", help="Square crops, as large as the photo's shorter side.")

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 @option("--max-pitch", type=float, metavar="DEG", group="Input", help="Skip photos with a flatter view (paper: -60).")
 @option("--locate", is_flag=True, group="Input", help="Evaluate `orthoscale locate` instead, on --satellite.")
 @option("--satellite", type=PATH, group="Input", help="Georeferenced map for --locate.")
-@option("--method", type=click.Choice(["auto", "dense", "gradient"]), group="Input", help="Of --locate.")
+@option("--method", type=click.Choice(["auto", "dense", "gradient"]), group="Input", help="How --locate compares.")
 @option(
     "--scale-errors",
     metavar="LIST",

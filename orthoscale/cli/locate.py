@@ -44,7 +44,7 @@ from .photo_options import lens_options
     "--heading",
     metavar="DEG",
     group="Input",
-    help="Of the photo's top, clockwise from north, or `search` for any; by default XMP's, else any.",
+    help="Heading of the photo's top, clockwise from north, or `search` to try all; by default XMP's, else all.",
 )
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photos in m/px; then nothing is measured.")
 @option(
@@ -82,8 +82,8 @@ def locate(
     """Find where on a map photos were taken.
 
     PHOTO is a photo or a folder of photos. Its ground, as large as its vehicles say (or --gsd), is looked for on the
-    map and verified by local matches. OUT gets located.json, candidates.csv, located.gpkg and matches.jpg. Of a photo
-    that is not located (exit code 3), or that fits two places (4), the candidates are written all the same.
+    map and verified by local matches. OUT gets located.json, candidates.csv, located.gpkg and matches.jpg. If a
+    photo is not located (exit code 3), or fits two places (4), its candidates are written all the same.
     """
     from ..actions.locate import LocateRequest
     from ..actions.locate import locate as located

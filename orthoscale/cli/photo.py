@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
 @options_of(PhotoRequest)
 @lens_options
-@option("--together", is_flag=True, group="Evidence", help="Also one altitude for all photos, as of a level flight.")
+@option("--together", is_flag=True, group="Evidence", help="Also give one altitude for all photos of a level flight.")
 @save_option
 @option(
     "--out",

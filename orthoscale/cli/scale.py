@@ -59,8 +59,8 @@ def estimate(
     """Print the scale of an orthophoto or a reconstruction.
 
     INPUT is an orthophoto (any raster that GDAL reads), the folder of a COLMAP model, or a model of OpenSfM, ODM,
-    nerfstudio, Bundler or VisualSFM. Nothing is written. Of several, of a pattern in quotes, or of a folder of them
-    each gets its own scale, and one line.
+    nerfstudio, Bundler or VisualSFM. Several INPUTs, a pattern in quotes, or a folder of inputs: each gets its own
+    scale, and one line. Nothing is written but what --summary and --save-detections name.
     """
     from ..actions import estimate as pipeline
     from ..actions import workspace
@@ -126,7 +126,7 @@ def fix(
     INPUT as for `estimate`; it is never touched. An orthophoto's pixels are copied unchanged; OUT.html, OUT.json
     and OUT.png come with it. A model is scaled about its own origin; sim3.txt, sim3_4x4.txt, sim3.json,
     report.html, report.json and vehicles.png come with it. In a workspace with several models (sparse/0, sparse/1
-    ...) each gets its own scale and its own folder in OUT. Of several INPUTs OUT is the folder for all copies.
+    ...) each gets its own scale and its own folder in OUT. With several INPUTs OUT is the folder for all copies.
     """
     from ..actions import fix as writing
     from ..actions import workspace

@@ -1,6 +1,6 @@
 """Run the campaign, or parts of it.
 
-python -m tests.fuzz                        all of it, about 16 minutes on two idle cores
+python -m tests.fuzz                        all of it, about 17 minutes on two idle cores
 python -m tests.fuzz --short                about a minute
 python -m tests.fuzz --class rasters        the classes whose names hold a word
 python -m tests.fuzz --only "killed:17"     one attempt again, with what it printed; --keep leaves its folder

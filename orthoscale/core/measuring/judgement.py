@@ -46,7 +46,7 @@ def _vehicles(measured: Measurement) -> Judgement:
     scale = measured.scale
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
     if not used:
-        return Judgement(CAUTION, "No vehicles", "the scale rests on things of standard size alone")
+        return Judgement(CAUTION, "No vehicles", "the scale rests on objects of standard size alone")
     sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
     few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
