@@ -66,7 +66,7 @@ def centre_circle(line=0.10):
     return [(-32, -line / 2, 32, line / 2), (0, 0, 9.15 - line, 9.15, 0, 0)]
 
 
-def _cover(x, y, gsd, box):
+def covered(x, y, gsd, box):
     """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
     if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both
         gap = np.hypot(x - box[0], y - box[1])
@@ -101,7 +101,7 @@ def court_picture(
         u, v = (x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s
         straight = [box for box in boxes if len(box) == 4]
         low, high = np.min(straight, 0)[:2] - run_off, np.max(straight, 0)[2:] + run_off
-        flat = _cover(u, v, gsd, (*low, *high))[..., None]
+        flat = covered(u, v, gsd, (*low, *high))[..., None]
         picture = picture * (1 - flat) + flat * (np.array(surface, np.float32) + 3 * patches(2.0)[..., None])
         paint = np.zeros((height, width), np.float32)
         for box in boxes:
@@ -110,7 +110,7 @@ def court_picture(
             left, top = np.clip(np.floor(corners.min(0) / gsd - 1), 0, (width, height)).astype(int)
             right, bottom = np.clip(np.ceil(corners.max(0) / gsd + 1), 0, (width, height)).astype(int)
             part = np.s_[top:bottom, left:right]
-            paint[part] = np.maximum(paint[part], _cover(u[part], v[part], gsd, box))
+            paint[part] = np.maximum(paint[part], covered(u[part], v[part], gsd, box))
         paint = paint * (1 - np.clip(wear + 0.5 * wear * patches(0.8), 0, 1))
         picture = picture + paint[..., None] * (white - picture)
         for _ in range(trees):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from support.courts import covered
+
 FINE = 0.11  # [m/px] that pictures are drawn at, at most
 BLUE_TURF, GREEN_TURF, TERRACOTTA = (45, 85, 150), (55, 105, 75), (150, 85, 60)
 CONCRETE, ASPHALT, LAWN = (150, 148, 142), (100, 100, 103), (88, 108, 62)
@@ -17,13 +19,6 @@ def padel_lines(line=0.05):
     half = line / 2
     boxes = [(side * SERVICE - half, -HALF_WIDTH, side * SERVICE + half, HALF_WIDTH) for side in (-1, 1)]
     return [*boxes, (-SERVICE - 0.2, -half, SERVICE + 0.2, half)]
-
-
-def _cover(x, y, pixel, box):
-    x0, y0, x1, y1 = box
-    part = [np.clip(np.minimum(high, at + pixel / 2) - np.maximum(low, at - pixel / 2), 0, pixel) / pixel
-            for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
-    return (part[0] * part[1])[..., None]
 
 
 def padel_picture(
@@ -49,7 +44,7 @@ def padel_picture(
         u, v = (x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s
 
         def painted(image, box, colour, share=1.0, u=u, v=v):
-            cover = _cover(u, v, pixel, box) * share
+            cover = covered(u, v, pixel, box)[..., None] * share
             return image * (1 - cover) + cover * np.asarray(colour, float)
 
         if wall is not None:
@@ -63,7 +58,7 @@ def padel_picture(
         if shadow:
             side = (-HALF_LENGTH, -HALF_WIDTH, HALF_LENGTH, -HALF_WIDTH + shadow)
             back = (-HALF_LENGTH, -HALF_WIDTH, -HALF_LENGTH + shadow, HALF_WIDTH)
-            image *= 1 - 0.35 * np.maximum(_cover(u, v, pixel, side), _cover(u, v, pixel, back))
+            image *= 1 - 0.35 * np.maximum(covered(u, v, pixel, side), covered(u, v, pixel, back))[..., None]
     if shade:
         dark = (x * 0.8 + y * 0.6 > (shape[1] * 0.8 + shape[0] * 0.6) * gsd * 0.55)[..., None]
         image *= 1 - shade * dark

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from support.courts import _cover
+from support.courts import covered
 
 BALLAST, RUST, BRIGHT, TIMBER, SLAB = (120, 114, 106), (78, 62, 52), (205, 205, 205), (150, 146, 140), (140, 138, 132)
 FINE = 0.03  # [m/px] that pictures are drawn at, at most
@@ -49,7 +49,7 @@ def railway(boxes, gsd, side=60.0, turn=0.4, ground=BALLAST, blur_px=0.6, noise=
         part = np.s_[:, :] if whole else np.s_[low[1] : high[1], low[0] : high[0]]
         if not image[part].size:
             continue
-        share = _cover(u[part], v[part], step, box)[..., None]
+        share = covered(u[part], v[part], step, box)[..., None]
         image[part] += share * (np.array(colour, np.float32) - image[part])
     image = cv2.GaussianBlur(image, (0, 0), blur_px * fine)
     image = cv2.resize(image, (pixels, pixels), interpolation=cv2.INTER_AREA)
