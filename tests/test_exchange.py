@@ -297,6 +297,8 @@ def test_four_corners_give_the_mean_of_opposite_sides():
     assert cv2.minAreaRect(drawn.astype(np.float32))[1][0] * cv2.minAreaRect(drawn.astype(np.float32))[1][1] > 1.03 * (
         length * width
     ), "the rectangle around it is larger"
+    closed = np.vstack([drawn, drawn[:1]])  # as GeoJSON has it: its last corner is its first
+    assert (rectangles([closed]) == rectangles([drawn])).all()
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0), (1, 2, 3, 0), (0, 2, 1, 3), (0, 1, 2, 3, 0)])

@@ -71,17 +71,17 @@ def estimate(
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
-    path : of the input, or a source that `open_source` opened. progress : told what is done, (what, done, total).
+    path : of the input, or a source that `open_source` opened. progress : called as progress(what, done, total).
 
     Where the vehicles' boxes come from
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else that of the country
     where the input lies, else ``world``.
     detections : boxes from a file instead of the detector; see `formats.detections` for them.
     detector : an ONNX file instead of the shipped one.
-    decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
+    decoder : how to read its outputs, if the file does not say (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
-    measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
-    fast : both detection passes over an orthophoto by the small detector.
+    measurer : network that measures vehicles seen from above again, "built-in", "none" or an ONNX file; see `requests`.
+    fast : the small detector makes both detection passes over an orthophoto.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -91,9 +91,9 @@ def estimate(
     sparse points alone; by default one that lies beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `actions.control`. gps : whether the GPS positions of a model's frames count, see
-    `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which things
-    of exact size are looked for, and anchor : your own standards for them, see `actions.anchors`.
+    further evidence, see `actions.control`. gps : whether the GPS positions of a model's frames count, see
+    `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which objects
+    of standard size are looked for, and anchor : your own standards for them, see `actions.anchors`.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.

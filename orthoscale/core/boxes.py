@@ -113,8 +113,8 @@ class Boxes:
         return np.logical_and(low, high)
 
     def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
-        """The first box that cannot be meant in an image of `width` x `height` px: its index, and what it has or is, in
-        words; None where all can. Boxes from files are asked this."""
+        """The first box that is impossible in an image of `width` x `height` px: its index and what is wrong with it;
+        None where all are possible. Boxes from files are checked with this."""
         sigma, kinds = (np.nan_to_num(np.asarray(share), nan=0.0) for share in (self.sigma, self.kinds))
         with np.errstate(invalid="ignore"):
             faults = {
