@@ -1,9 +1,5 @@
 """The sweep on a Dask cluster: the same result as on threads, also when a worker dies."""
 
-import os
-import signal
-import threading
-import time
 from concurrent.futures import Future
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from support.cluster import killing_one
 
 from orthoscale.actions import many
 from orthoscale.detect import workers
@@ -55,14 +52,7 @@ def test_a_cluster_finds_what_threads_find_and_a_lost_worker_loses_no_tile(raste
     # Then again, and one of the two workers is killed as soon as it has something to do.
     with distributed.Client(cluster) as client:
         before = set(client.scheduler_info()["workers"])
-
-        def kill_one():
-            while not any(client.processing().values()):
-                time.sleep(0.01)
-            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-
-        assassin = threading.Thread(target=kill_one, daemon=True)
-        assassin.start()
+        assassin = killing_one(cluster, client)
         again = swept(raster, scheduler=cluster.scheduler_address)
         assassin.join(60)
         assert set(client.scheduler_info()["workers"]) != before, "one worker is gone, or another one in its place"

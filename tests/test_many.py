@@ -6,15 +6,14 @@ import csv
 import json
 import os
 import shutil
-import signal
 import sys
-import threading
 import time
 from contextlib import suppress
 from itertools import permutations
 from pathlib import Path
 
 import pytest
+from support.cluster import killing_one
 from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
@@ -494,13 +493,7 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
         distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster,
         distributed.Client(cluster) as client,
     ):
-
-        def kill_one():
-            while not any(client.processing().values()):
-                time.sleep(0.01)
-            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-
-        threading.Thread(target=kill_one, daemon=True).start()
+        killing_one(cluster, client)
         request = FixRequest(fleet="DE", detections=parks / "boxes.json", report="none")
         todo = many.jobs_of("fix", inputs, request, tmp_path / "out")
         (tmp_path / "out").mkdir()

@@ -132,14 +132,18 @@ def test_rows_of_the_table_hold_where_they_say(country, width):
         assert standard.metres == width and "GCC" not in standard.countries
 
 
-def test_rows_improve_no_verdict(tmp_path):
-    """Rules give the least width of stalls, and no document says what one place built."""
-    place, along, size = car_park(np.random.default_rng(4), 2.5, rows=3)
+def drawn(folder, place, along, size):
+    """park.png, of one grey, and boxes.json with what `car_park` gives."""
     place = place - place.min(0) + 60
-    cv2.imwrite(str(tmp_path / "park.png"), np.full(np.ceil(place.max(0) + 60).astype(int)[::-1], 90, np.uint8))
+    cv2.imwrite(str(folder / "park.png"), np.full(np.ceil(place.max(0) + 60).astype(int)[::-1], 90, np.uint8))
     boxes = Boxes(np.c_[place, size, np.arctan2(along[:, 1], along[:, 0])], np.ones(len(size)))
     found = Detections({"park.png": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "drawn")
-    save_detections(found, tmp_path / "boxes.json")
+    save_detections(found, folder / "boxes.json")
+
+
+def test_rows_improve_no_verdict(tmp_path):
+    """Rules give the least width of stalls, and no document says what one place built."""
+    drawn(tmp_path, *car_park(np.random.default_rng(4), 2.5, rows=3))
     options = {"fleet": "DE", "detections": tmp_path / "boxes.json"}
     rows = orthoscale.estimate(tmp_path / "park.png", **options).scale
     alone = orthoscale.estimate(tmp_path / "park.png", **options, anchors=["none"]).scale
@@ -158,12 +162,7 @@ def test_bays_of_a_recalled_standard_are_less_certain_and_not_documented(code):
 
 @pytest.mark.parametrize("fleet", ["US", "Texas"])
 def test_rows_count_where_a_part_of_the_country_is_named(fleet, tmp_path):
-    place, along, size = car_park(np.random.default_rng(4), 2.74, rows=6)
-    place = place - place.min(0) + 60
-    cv2.imwrite(str(tmp_path / "park.png"), np.full(np.ceil(place.max(0) + 60).astype(int)[::-1], 90, np.uint8))
-    boxes = Boxes(np.c_[place, size, np.arctan2(along[:, 1], along[:, 0])], np.ones(len(size)))
-    found = Detections({"park.png": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "drawn")
-    save_detections(found, tmp_path / "boxes.json")
+    drawn(tmp_path, *car_park(np.random.default_rng(4), 2.74, rows=6))
     result = orthoscale.estimate(tmp_path / "park.png", fleet=fleet, detections=tmp_path / "boxes.json")
     assert [each.kind for each in result.scale.evidence] == [BAYS]
     assert result.scale.value == pytest.approx(GSD, rel=0.08), "the cars are German ones"

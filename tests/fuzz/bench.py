@@ -48,3 +48,9 @@ def how_for(path: Path) -> Mutator:
     if path.suffix in (".json", ".geojson", ".gltf"):
         return damage.json_text
     return damage.text if path.suffix in TEXTS else damage.binary
+
+
+def sim3(folder: Path) -> None:
+    """A sim3.json in `folder`, as `fix` would write it."""
+    text = {"scale": 5.0, "rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
+    (folder / "sim3.json").write_text(json.dumps(text))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from . import damage, hostile, seeds
-from .bench import Bench, Rng, harm, how_for
+from .bench import Bench, Rng, harm, how_for, sim3
 from .runner import Attempt
 from .truth import BOX_FORMATS, CARD, MODELS, RASTERS
 
@@ -103,11 +103,6 @@ def other_models(bench: Bench, rng: Rng) -> Attempt:
         sim3(inside)
         return Attempt(("apply", "in/sim3.json", f"in/{names[0]}", "--out", "out"))
     return Attempt(_measure(rng))
-
-
-def sim3(folder: Path) -> None:
-    text = {"scale": 5.0, "rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
-    (folder / "sim3.json").write_text(json.dumps(text))
 
 
 # Detections and settings

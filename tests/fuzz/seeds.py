@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from . import damage, hostile
-from .bench import Bench
+from .bench import Bench, sim3
 from .runner import Attempt
 from .truth import CARD
 
@@ -62,7 +62,7 @@ def _onto(name: str, kind: str, *argv: str, twice: bool = False) -> None:
         (inside / "foreign").mkdir()
         (inside / "foreign/thesis.txt").write_text("years of work")
         if kind == "opensfm":
-            _sim3(inside)
+            sim3(inside)
         return ends(argv, 2)
 
 
@@ -624,11 +624,6 @@ _twins("apply", "geometry", "apply", "in/sim3.json", "in/splat.ply", "--out", "o
 
 
 # Exit 1 where 5 is due
-
-
-def _sim3(folder: Path) -> None:
-    text = {"scale": 5.0, "rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
-    (folder / "sim3.json").write_text(json.dumps(text))
 
 
 READERS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
