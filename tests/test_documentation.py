@@ -28,6 +28,7 @@ PAGES = [
         "docs/*.md",
         "docs/*/*.md",
         "*/README.md",
+        "training/*/README.md",
         "*/results/*.md",
         "orthoscale/detect/weights/README.md",
     )
@@ -91,7 +92,7 @@ def test_links_lead_to_files_and_headings_that_are_there(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_that_a_page_names_are_there(page):
     """Those of the repository, named from its root: `orthoscale/detect/decoders.py`."""
-    folders = "orthoscale|tests|docs|examples|benchmarks|colmap_hooks"
+    folders = "orthoscale|tests|docs|examples|benchmarks|colmap_hooks|training|qgis"
     for name in re.findall(rf"`((?:{folders})/[\w./-]+)`", page.read_text()):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
 
@@ -164,6 +165,24 @@ def test_the_long_options_that_pages_name_exist():
             assert options <= known, f"{page.name}: orthoscale {line}: {options - known}"
             named += len(options)
     assert named > 80
+
+
+PROGRAM = re.compile(r"python -m ((?:training|orthoscale)\.[\w.]+)([^`\n|]*)|\b(benchmarks/\w+\.py)([^`\n|]*)")
+
+
+def test_programs_beside_the_command_that_pages_name_are_there_and_have_the_options_that_are_shown():
+    """Those of benchmarks, of training and of `orthoscale.synthetic`; behind ` -- ` stand orthoscale's own."""
+    shown = 0
+    for page in PAGES:
+        for module, ours, script, its in PROGRAM.findall(page.read_text().replace("\\\n", "")):
+            file = ROOT / (script or module.replace(".", "/") + ".py")
+            file = file if file.exists() else file.with_suffix("") / "__main__.py"
+            assert file.exists(), f"{page.name} names {script or module}"
+            options = set(re.findall(r"--[a-z][\w-]+", (ours or its).partition(" -- ")[0]))
+            missing = {each for each in options if each not in file.read_text()}
+            assert not missing, f"{page.name}: {file.name} has no {missing}"
+            shown += len(options)
+    assert shown > 80
 
 
 def test_the_container_is_built_of_all_that_the_wheel_is_made_of():
