@@ -333,6 +333,9 @@ def test_off(tmp_path):
     (tmp_path / "a.off").write_text("OFF 1 0 0\n1 2 3\n")
     scale_path(tmp_path / "a.off", tmp_path / "b.off", 2)
     assert (tmp_path / "b.off").read_text() == "OFF 1 0 0\n2 4 6\n"
+    (tmp_path / "a.off").write_text("OFF 1\n1 2 3\n")  # a cloud whose writer counts nothing but vertices
+    scale_path(tmp_path / "a.off", tmp_path / "b.off", 2)
+    assert (tmp_path / "b.off").read_text() == "OFF 1\n2 4 6\n"
     for damaged in (
         "4OFF\n1 0 0\n1 2 3 1\n",
         "OFF BINARY\n",
@@ -375,15 +378,20 @@ def test_points_that_are_none(tmp_path, text):
 @pytest.mark.parametrize("first", [0, 1])
 def test_points_that_are_numbered(tmp_path, first):
     lines = [f"{first + k} {k}.5 2.5 3.5" for k in range(9)]
-    (tmp_path / "a.xyz").write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match="seems to number the points"):
-        scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
+    for many in (5, 9):  # five are enough
+        (tmp_path / "a.xyz").write_text("\n".join(lines[:many]) + "\n")
+        with pytest.raises(InputError, match="seems to number the points"):
+            scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
     (tmp_path / "c.xyz").write_text("\n".join(["ID X Y Z", *lines]) + "\n")
     scale_path(tmp_path / "c.xyz", tmp_path / "d.xyz", 2)
     assert (tmp_path / "d.xyz").read_text().splitlines()[2] == f"{first + 1} 3 5 7"
     # Five points whose x only happen to count.
     (tmp_path / "e.xyz").write_text("\n".join(lines[:4] + ["7 4.5 2.5 3.5"]) + "\n")
     scale_path(tmp_path / "e.xyz", tmp_path / "f.xyz", 2)
+    # A profile whose x counts: there is no column beside the coordinates that could be a number.
+    (tmp_path / "g.xyz").write_text("\n".join(f"{first + k} 2.5 3.5" for k in range(9)) + "\n")
+    scale_path(tmp_path / "g.xyz", tmp_path / "h.xyz", 2)
+    assert (tmp_path / "h.xyz").read_text().splitlines()[2] == f"{2 * (first + 2)} 5 7"
 
 
 def test_splats_of_32_bytes(tmp_path):
@@ -438,9 +446,9 @@ def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):
     head = "VERSION 0.7\nFIELDS x y z radius range curvature\nSIZE 4 4 4 4 4 4\nTYPE F F F F {} F\n"
     head += "WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
     for kind, told in (("F", "8"), ("U", "4")):  # a sensor's own, in millimetres
-        (tmp_path / "a.pcd").write_text(head.format(kind) + "1 2 3 0.5 4 0.1\n")
+        (tmp_path / "a.pcd").write_text(head.format(kind) + "0.1 2 3 0.5 4 0.1\n")
         scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
-        assert (tmp_path / "b.pcd").read_text().splitlines()[-1] == f"2 4 6 1 {told} 0.1"
+        assert (tmp_path / "b.pcd").read_text().splitlines()[-1] == f"0.2 4 6 1 {told} 0.1"
 
 
 def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
