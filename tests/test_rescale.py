@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, las, pcd, pcd_body, ply
+from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, las, lzf, pcd, pcd_body, ply
 
 from orthoscale.actions.apply import apply
 from orthoscale.cli.main import cli
@@ -440,6 +440,31 @@ def test_pcd(tmp_path, form, monkeypatch):
         (tmp_path / "a.pcd").write_bytes(damaged)
         with pytest.raises(InputError, match=r"a\.pcd"):
             scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
+
+
+def test_a_compressed_pcd_repeats_long_pieces_of_long_before(tmp_path):
+    """As PCL's files of thousands of points do: here all 80 bytes of a field are those of one 440 bytes before."""
+    rows = np.zeros(20, PCD_ROW)
+    for name in PCD_ROW.names[:-1]:
+        rows[name] = np.random.default_rng(1).integers(0, 250, rows[name].shape)
+    rows["normal_x"] = rows["x"]
+    whole = b"".join(rows[name].tobytes() for name in PCD_ROW.names)
+    literal, copy = lzf(whole[:440]), bytes([7 << 5 | 439 >> 8, 80 - 2 - 7, 439 & 255])
+
+    def body(packed):
+        return struct.pack("<II", len(packed), len(whole)) + packed
+
+    (tmp_path / "a.pcd").write_bytes(pcd("binary_compressed", body(literal + copy), 20))
+    scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
+    data = (tmp_path / "b.pcd").read_bytes().partition(b"\nDATA binary\n")[2]
+    new = np.frombuffer(data, PCD_ROW)
+    assert (
+        (new["normal_x"] == rows["x"]).all() and (new["x"] == 2 * rows["x"]).all() and (new["z"] == 2 * rows["z"]).all()
+    )
+    for damaged in (pcd("binary_compressed", body(literal), 20), pcd("binary_compressed", body(literal + copy), 21)):
+        (tmp_path / "a.pcd").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.pcd: its compressed points are damaged"):
+            scale_path(tmp_path / "a.pcd", tmp_path / "c.pcd", 2)
 
 
 def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):
