@@ -166,3 +166,28 @@ def test_extras_are_imported_by_nobody_but_their_commands():
             ):
                 at_once = {m for m in imports(name, node) if extra(m)}
                 assert not at_once, f"{name} imports {at_once} when it is imported"
+
+
+SAYS_WHAT_IS_ALLOWED = (
+    " must be ",
+    " must lie between ",
+    " takes ",
+    " is none of ",
+    " is neither ",
+    " positive number",
+)
+
+
+def test_every_error_gives_a_hint_or_says_itself_what_is_allowed():
+    """But for too little evidence and contradictions: `actions` name the input and say what to try."""
+    told = 0
+    for name in MODULES:
+        for node in ast.walk(tree_of(name)):
+            error = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else None
+            if error in ("UsageError", "InputError", "OutputError"):
+                told += 1
+                said = ast.unparse(node.args[0]) if node.args else ""
+                hinted = len(node.args) + len(node.keywords) > 1
+                allowed = error == "UsageError" and any(each in said for each in SAYS_WHAT_IS_ALLOWED)
+                assert hinted or allowed, f"{name}, line {node.lineno}: {said} gives no hint"
+    assert told > 300

@@ -82,16 +82,24 @@ class LocateRequest:
         try:
             x, y, radius = (float(v) for v in self.prior.split(","))
         except ValueError:
-            raise UsageError(f"--prior {self.prior} is not LON,LAT,RADIUS or X,Y,RADIUS") from None
+            raise UsageError(
+                f"--prior {self.prior} is not LON,LAT,RADIUS or X,Y,RADIUS", "Such as --prior 8.54,47.38,1500."
+            ) from None
         if not (np.isfinite([x, y]).all() and 0 < radius < np.inf):
             raise UsageError(f"--prior {self.prior}: the radius must be a positive number of metres")
         if abs(x) <= 180 and abs(y) <= 90:
             return x, y, radius
         if satellite.crs.is_geographic:
-            raise UsageError(f"--prior {self.prior} is no longitude and latitude, which is what the map has")
+            raise UsageError(
+                f"--prior {self.prior} is no longitude and latitude, which is what the map has",
+                "Give LON,LAT,RADIUS in degrees and metres.",
+            )
         lon, lat = satellite.degrees(np.array([x, y]))[0].tolist()
         if not np.isfinite([lon, lat]).all():
-            raise UsageError(f"--prior {self.prior} is no place in {satellite.crs.name}")
+            raise UsageError(
+                f"--prior {self.prior} is no place in {satellite.crs.name}",
+                "Give LON,LAT,RADIUS, or X and Y in the map's own coordinates.",
+            )
         return lon, lat, radius
 
 

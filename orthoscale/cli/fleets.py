@@ -50,7 +50,10 @@ def fleets(
 
     refuse_idle_overwrite(overwrite, out)
     if (registrations is None) != (out is None) or (codes and out):
-        raise UsageError("--registrations and --out go together, and without codes")
+        raise UsageError(
+            "--registrations and --out go together, and without codes",
+            "Such as: orthoscale fleets --registrations register.csv --out fleet.json.",
+        )
     if registrations is not None and out is not None:
         _from_register(registrations, out, overwrite, as_json)
         return

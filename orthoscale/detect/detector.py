@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..formats.reading import checked, parsed, read_bytes
 from ..system.budget import memory, require
 from . import foreign_worker
-from .foreign import ForeignError, Said, Worker
+from .foreign import IMAGE_ALONE, NO_NETWORK, ForeignError, Said, Worker
 from .output_forms import NetworkForm, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
@@ -143,10 +143,10 @@ class Detector:
         path = self.path
         inputs, outputs, meta = self._network.said
         if len(inputs) != 1:
-            raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image")
+            raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image", IMAGE_ALONE)
         ((_, kind, shape),) = inputs
         if kind not in IMAGE_TYPES:
-            raise InputError(f"{path}: its input is a {kind}, not an image of single or half precision")
+            raise InputError(f"{path}: its input is a {kind}, not an image of single or half precision", IMAGE_ALONE)
         shapes = {name: _shape(sizes) for name, _, sizes in outputs}
         layout = recognise(path, meta, _shape(shape), shapes, decoder, vehicle_classes)
         self.card = _card(path, meta, layout)
@@ -282,7 +282,7 @@ def _foreign(path: Path, content: bytes, threads: int) -> Worker:
                 f"{path}: has operators that onnxruntime does not know ({error})",
                 f"For MMDeploy's, let the variable {OPERATORS} name its libmmdeploy_onnxruntime_ops.so.",
             ) from error
-        raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
+        raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})", NO_NETWORK) from error
 
 
 def _card(path: Path, metadata: dict[str, str], layout: NetworkForm) -> Card:

@@ -24,6 +24,9 @@ LONGEST_SECONDS = 25.0
 MOST_OUTPUT = 2**26
 """[byte] An answer may have: ten times that of a YOLO for twenty classes and 2048 px."""
 
+NO_NETWORK = "Export the network as ONNX again; other forms, such as .pt and .engine, are not read."
+IMAGE_ALONE = "Export it with one RGB image [1, 3, height, width] of single or half precision as its only input."
+
 
 class Said(NamedTuple):
     """What a network says of itself: (name, type, shape) of inputs and outputs, and its metadata."""

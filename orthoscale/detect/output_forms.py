@@ -24,6 +24,7 @@ from ..errors import InputError, UsageError, shown
 from ..formats.detections.classes import DOTA, object_numbers, vehicle_numbers
 from ..formats.reading import checked, read
 from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_ultralytics_nms_free
+from .foreign import IMAGE_ALONE
 
 LARGEST_STRIDE = 1024  # [px] networks' are powers of two from 8 to 128
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
@@ -100,7 +101,7 @@ def recognise(
             "See docs/detectors.md for what each decoder expects, or remove --decoder.",
         )
     if len(input_shape) != 4 or input_shape[1] not in (3, None) or input_shape[0] not in (1, None):
-        raise InputError(f"{path}: its input has shape {list(input_shape)}, not [1, 3, height, width]")
+        raise InputError(f"{path}: its input has shape {list(input_shape)}, not [1, 3, height, width]", IMAGE_ALONE)
     size = _fixed(input_shape)
     if found == "orthoscale":
         return NetworkForm(found, Normalisation(), 32, size, lambda arrays, _, score: decode_maps(arrays[0][0], score))

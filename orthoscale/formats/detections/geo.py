@@ -21,7 +21,7 @@ from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
 from ..degrees import WGS_84, about_meridian
 from ..names import json_in_utf8
-from ..reading import check_regular, checked, parsed
+from ..reading import EXPORT_ANEW, check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
 
@@ -151,7 +151,7 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
         meta, _, blobs, columns = pyogrio.raw.read(path, layer=layer)
         shapes = shapely.from_wkb(blobs)
     except Exception as error:  # GDAL's and GEOS's errors share no base
-        raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})") from error
+        raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})", EXPORT_ANEW) from error
     told = (info.get("layer_metadata") or {}).get("orthoscale")
     note = parsed(told, str(path), "a GeoPackage that orthoscale wrote", "Save the detections again.") if told else None
     crs = meta["crs"]
@@ -238,7 +238,10 @@ def _in_pixels(ring: np.ndarray, place: Georeference | None, crs: str | None, or
     try:
         return place.to_pixels(ring, crs)
     except (CRSError, ProjError) as error:
-        raise InputError(f"{origin}: its coordinates do not fit the raster's ({error})") from error
+        raise InputError(
+            f"{origin}: its coordinates do not fit the raster's ({error})",
+            "Save the polygons in the raster's coordinate reference system.",
+        ) from error
 
 
 def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...core.source import Picture
 from ...detect.detector import IMAGE_TYPES, read_network
-from ...detect.foreign import ForeignError, Worker
+from ...detect.foreign import NO_NETWORK, ForeignError, Worker
 from ...detect.workers import cores
 from ...errors import InputError, UsageError
 from .rules import Rule
@@ -28,7 +28,7 @@ class DepthNetwork:
         try:
             self._worker = Worker(path, read_network(path), cores(), None, LONGEST_LOOK)
         except ForeignError as error:
-            raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
+            raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})", NO_NETWORK) from error
         inputs, outputs, _ = self._worker.said
         if len(inputs) != 1:
             asked = ", ".join(name for name, _, _ in inputs)
