@@ -7,6 +7,7 @@ import os
 import sqlite3
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pyproj
 import pytest
@@ -132,7 +133,7 @@ def test_a_copy_that_keeps_its_origin_has_the_measured_size_on_the_ground(tmp_pa
     result = fixed(path, out, boxes, keep_origin=True)
     before, after = RasterSource.open(path).claimed, RasterSource.open(out).claimed
     assert after.usable and after.gsd_m == pytest.approx(result.scale.value, rel=2e-5)
-    assert (after.transform.c, after.transform.f) == pytest.approx((before.transform.c, before.transform.f))
+    assert (after.transform.c, after.transform.f) == pytest.approx((before.transform.c, before.transform.f), abs=1e-9)
     assert after.crs == before.crs
     angle = [math.atan2(c.transform.d, c.transform.a) for c in (before, after)]
     assert angle[0] == pytest.approx(angle[1], abs=1e-9)
@@ -196,7 +197,18 @@ def test_the_world_file_says_the_same_as_the_geotiff(everything):
     folder, _ = everything
     a, d, b, e, x, y = (float(line) for line in (folder / "out.tfw").read_text().split())
     with rasterio.open(folder / "out.tif") as raster:
-        assert raster.transform[:6] == pytest.approx((a, b, x - a / 2 - b / 2, d, e, y - d / 2 - e / 2))
+        assert raster.transform[:6] == pytest.approx((a, b, x - a / 2 - b / 2, d, e, y - d / 2 - e / 2), abs=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("name", ["rotated", "south-up"])
+def test_gdal_reads_the_world_file_as_the_geotiff_lies(tmp_path, boxes, name):
+    path = picture(tmp_path / "a.tif", **CASES[name][0])
+    fixed(path, tmp_path / "out.tif", boxes, also=["tfw"], keep_origin=True)
+    cv2.imwrite(str(tmp_path / "b.png"), np.zeros((H, W), np.uint8))
+    (tmp_path / "out.tfw").rename(tmp_path / "b.pgw")
+    with rasterio.open(tmp_path / "out.tif") as copy, rasterio.open(tmp_path / "b.png") as beside:
+        assert beside.transform[:6] == pytest.approx(copy.transform[:6], abs=1e-6)
 
 
 def test_the_scale_file_begins_with_the_scale(everything):
