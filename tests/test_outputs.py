@@ -5,6 +5,7 @@ import json
 import math
 import os
 import sqlite3
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -20,10 +21,12 @@ from support.pictures import squares
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
 from orthoscale.core.claims import own_claim
+from orthoscale.core.detections import Swept, Tile
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.report.document import pixel_size
+from orthoscale.report.extras import write_tiles
 from orthoscale.report.geo import outlines, table
 from orthoscale.sources.raster import RasterSource
 
@@ -280,6 +283,25 @@ def test_geojson_is_longitude_and_latitude_or_refused(everything, tmp_path, boxe
 def test_tiles_without_a_sweep_are_a_header(everything):
     with (everything[0] / "out.tif.tiles.csv").open() as file:
         assert len(list(csv.reader(file))) == 1, "boxes from a file: no tile was looked at"
+
+
+def test_a_vehicle_counts_in_the_tile_whose_middle_is_nearest(everything, tmp_path):
+    """Two tiles overlap; vehicles at x = 60, 147, ..., 840 px, eight in each column: six columns are nearer to the
+    first tile's middle, measured by the tiles' widths, and no vehicle counts twice."""
+    _, result = everything
+    tiles = [("a.tif", Tile(0, 0, 600, H, 600, H)), ("a.tif", Tile(500, 0, 400, H, 400, H))]
+    swept = replace(result.detections, swept=Swept(tiles, 2))
+    write_tiles(replace(result, detections=swept), result.place(), tmp_path / "tiles.csv")
+    with (tmp_path / "tiles.csv").open() as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    assert [[row[name] for name in ("x_px", "y_px", "width_px", "height_px")] for row in rows] == [
+        [0, 0, 600, H], [500, 0, 400, H]
+    ]  # fmt: skip
+    assert [row["vehicles"] for row in rows] == [48, 32] and sum(row["used"] for row in rows) == result.scale.used.sum()
+    first = result.scale.used & (result.votes.place[:, 0] < 550)
+    deviation = result.vehicles["scale_deviation"][first]
+    assert rows[0]["m_per_px"] == pytest.approx(result.scale.value * np.exp(deviation.mean()), rel=1e-5)
+    assert rows[0]["relative_spread"] == pytest.approx(deviation.std(ddof=1), rel=1e-3)
 
 
 def test_all_outputs_are_refused_before_any_work(tmp_path, boxes):
