@@ -20,6 +20,7 @@ from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
+from orthoscale.detect.detector import Passes
 from orthoscale.detect.workers import worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
@@ -424,17 +425,19 @@ def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch,
     made = []
 
     class Network:
-        def __init__(self, path, decoder, classes, threads=0):
-            made.append(threads)
+        def __init__(self, path, decoder, classes, threads=0, passes=None):
+            made.append((threads, passes))
             raise InterruptedError
 
     monkeypatch.setattr("orthoscale.detect.detector.Detector", Network)
     for module in ("workers", "find"):
         monkeypatch.setattr(f"orthoscale.detect.{module}.cores", lambda: 32)
     photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL)
-    with pytest.raises(InterruptedError):
-        boxes_of([photo], Looking())
-    assert made == [4] and worker_count(None) == 8
+    for looking in (Looking(), Looking(detector=tmp_path / "own.onnx")):
+        with pytest.raises(InterruptedError):
+            boxes_of([photo], looking)
+    assert [threads for threads, _ in made] == [4, 4] and worker_count(None) == 8
+    assert [passes for _, passes in made] == [Passes.TWICE_CONFIRMED, Passes.FINE_FIRST], "one photo has no other view"
 
 
 @pytest.mark.parametrize("pitch, roll", [(-90, 0), (-75, 5), (-60, 0), (-50, -4)])

@@ -231,6 +231,25 @@ def test_a_network_looks_coarsely_first_where_it_is_told_to(few_vehicles):
         assert detector.shown == [size]
 
 
+def test_what_two_passes_show_must_be_seen_by_the_finder_too_where_nothing_else_tells(few_vehicles):
+    """Glints on water are vehicles to both passes of the small network; the scale was then seven times too large."""
+    picture, tile = few_vehicles
+    detector = Detector(passes=Passes.TWICE_CONFIRMED, threads=1)
+    assert detector.sure == detector.card.sure
+    twice = look_twice(picture, tile, Detector(threads=1))
+
+    def vehicles(finder):
+        detector.confirming = finder
+        looks = look_twice(picture, tile, detector)
+        found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], passes=detector.passes)
+        return len(found.boxes["drawing"]), len(found.doubtful["drawing"])
+
+    seen = twice.coarse.mapped(724 / 1024)
+    assert vehicles(lambda image: Boxes.empty()) == (0, len(twice.fine))
+    assert vehicles(lambda image: seen) == (3, len(twice.fine) - 3)
+    assert vehicles(lambda image: seen[[0]]) == (1, len(twice.fine) - 1)
+
+
 def test_what_the_first_pass_alone_sees_is_doubtful():
     shed, pond = [90, 90, 41, 18, 1.0], [300, 90, 39, 16, 0.4]
     looks = Looks(Boxes([shed], [0.9]), Boxes([pond], [0.9]))

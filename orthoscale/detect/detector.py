@@ -47,11 +47,14 @@ class Passes(StrEnum):
     CONFIRMED : the fine one by the detector, the coarse one by the shipped FINDER, which confirms and does not measure.
     FINE_FIRST : both by the detector. COARSE_FIRST : both by it, the one at half the cost first. A coarse pass makes
     half as many mistakes, so this is for many frames, where no share of confirmed boxes is judged by.
+    TWICE_CONFIRMED : both by the detector, the fine one first, and the FINDER must see what they show, too. For single
+    photos, which neither other views nor the measurer tell vehicles from glints and roofs.
     """
 
     CONFIRMED = "confirmed"
     FINE_FIRST = "fine first"
     COARSE_FIRST = "coarse first"
+    TWICE_CONFIRMED = "twice, confirmed"
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ class Detector:
     looks at one image at a time (`foreign.Worker`).
 
     settings : (path, decoder, vehicle_classes, passes) with which another process makes the same detector.
-    confirming : the detector that takes the coarse pass, if `passes` are CONFIRMED; else None.
+    confirming : the shipped FINDER, if `passes` are CONFIRMED or TWICE_CONFIRMED; else None.
     notes : what its user should know of what it found.
     """
 
@@ -136,7 +139,8 @@ class Detector:
         Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes), passes)
-        self.confirming = Detector(threads=threads, shipped=FINDER) if passes == Passes.CONFIRMED else None
+        confirmed = passes in (Passes.CONFIRMED, Passes.TWICE_CONFIRMED)
+        self.confirming = Detector(threads=threads, shipped=FINDER) if confirmed else None
         self.passes = passes
         self.notes: list[str] = []
         self.path, content, self._network = load_network(path, shipped, threads)
@@ -164,7 +168,7 @@ class Detector:
     @property
     def sure(self) -> float:
         """The mean confidence of two looks from which a vehicle counts."""
-        return (self.confirming or self).card.sure
+        return (self.confirming if self.confirming and self.passes == Passes.CONFIRMED else self).card.sure
 
     @property
     def takes_parts(self) -> bool:

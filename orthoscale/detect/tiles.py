@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from ..core.boxes import Boxes, suppress
+from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
@@ -90,22 +90,28 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
     """Two passes over one tile, whose pixels are read once. A tile of one grey (no data) is left out.
 
     Only what both show counts, and most of many surveys is empty: the second one looks only around what the first saw.
-    A Detector says which is the first (`Passes`). confirm : takes the coarse pass; by default the detector that
-    confirms `detect`, or `detect` itself.
+    A Detector says which is the first, and who takes them (`Passes`). confirm : takes the coarse pass instead.
     """
     image = read(picture, tile)
     if one_grey(image):
         return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
-    confirm = confirm or (detect.confirming if isinstance(detect, Detector) else None)
-    fine = _Pass(detect, image)
-    coarse = _Pass(confirm or detect, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
-    if isinstance(detect, Detector) and detect.passes == Passes.COARSE_FIRST:
+    reduced = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    passes = detect.passes if isinstance(detect, Detector) else Passes.FINE_FIRST
+    finder = detect.confirming if isinstance(detect, Detector) else None
+    if passes == Passes.CONFIRMED:
+        confirm = confirm or finder
+    fine, coarse = _Pass(detect, image), _Pass(confirm or detect, reduced)
+    if passes == Passes.COARSE_FIRST:
         seen_coarsely = coarse.whole()
         seen_finely = fine.around(seen_coarsely, coarse)
     else:
         seen_finely = fine.whole()
         seen_coarsely = coarse.around(seen_finely, fine)
+    if passes == Passes.TWICE_CONFIRMED and finder:
+        by_finder = _Pass(finder, reduced).around(seen_coarsely, coarse)
+        known, _, _ = matched(seen_coarsely[VEHICLES], by_finder[VEHICLES], SAME_VEHICLE)
+        seen_coarsely[VEHICLES] = seen_coarsely[VEHICLES][known]
     coarse_tile = replace(tile, out_width=width, out_height=height)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(seen_coarsely[kind], coarse_tile, CUT_OBJECT))

@@ -87,12 +87,13 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
 
 
 def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) -> Detections:
-    from ..detect.detector import Detector
+    from ..detect.detector import Detector, Passes
     from ..detect.find import Effort, find_vehicles
 
     effort = Effort()
     path = None if how.detector is None else Path(how.detector)
-    detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each)
+    passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
+    detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
     zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet([p.path for p in photos])[0].mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
