@@ -3,18 +3,21 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from support.drawings import CARD, Drawing, RectangleDetector, car_park
 
+from orthoscale.actions.estimate import detector_of
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.tiles import look_twice, place, read, sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
+from orthoscale.requests import EstimateRequest
 
 
 @pytest.mark.parametrize(
@@ -167,6 +170,17 @@ def test_the_shipped_detector_is_small_and_says_what_it_is():
     card = detector.card
     assert card.usable_length[0] <= 12 and card.usable_length[1] >= 70
     assert card.training and card.licence
+
+
+@pytest.mark.parametrize("plan, options, passes", [
+    (True, {}, Passes.CONFIRMED), (True, {"fast": True}, Passes.FINE_FIRST),
+    (True, {"measurer": "none"}, Passes.TWICE_CONFIRMED), (True, {"calibration": "ruler.json"}, Passes.TWICE_CONFIRMED),
+    (False, {}, Passes.COARSE_FIRST), (False, {"measurer": "none"}, Passes.COARSE_FIRST),
+])  # fmt: skip
+def test_who_looks_at_what_is_told_by_the_input_and_the_request(plan, options, passes):
+    detector = detector_of(SimpleNamespace(plan=object() if plan else None), EstimateRequest(**options))
+    assert detector.passes == passes
+    assert (detector.confirming is not None) == (passes in (Passes.CONFIRMED, Passes.TWICE_CONFIRMED))
 
 
 def test_the_finder_takes_the_second_look(monkeypatch):

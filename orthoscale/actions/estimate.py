@@ -352,10 +352,16 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
     path = None if request.detector is None else Path(request.detector)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = effort_of(request).threads_each if path is None else 0
-    passes = Passes.COARSE_FIRST
-    if source.plan is not None:
-        passes = Passes.CONFIRMED if request.confirms else Passes.FINE_FIRST
-    return Detector(path, request.decoder, request.vehicle_classes, threads, passes)
+    return Detector(path, request.decoder, request.vehicle_classes, threads, _passes(source, request))
+
+
+def _passes(source: Source, request: EstimateRequest) -> Passes:
+    """How the pictures of `source` are looked at."""
+    if source.plan is None:
+        return Passes.COARSE_FIRST
+    if request.confirms:
+        return Passes.CONFIRMED
+    return Passes.FINE_FIRST if request.fast or request.detector is not None else Passes.TWICE_CONFIRMED
 
 
 def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:

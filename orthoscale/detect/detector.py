@@ -48,7 +48,8 @@ class Passes(StrEnum):
     FINE_FIRST : both by the detector. COARSE_FIRST : both by it, the one at half the cost first. A coarse pass makes
     half as many mistakes, so this is for many frames, where no share of confirmed boxes is judged by.
     TWICE_CONFIRMED : both by the detector, the fine one first, and the FINDER must see what they show, too. For single
-    photos, which neither other views nor the measurer tell vehicles from glints and roofs.
+    photos and orthophotos whose vehicles are not measured once more: the detector's own boxes count there, and neither
+    other views nor the measurer tell vehicles from glints and roofs.
     """
 
     CONFIRMED = "confirmed"
