@@ -147,6 +147,23 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     assert [r.severity for r in larger.remarks if "larger than cars" in r.text] == ([REFUSAL] if lowered else [])
 
 
+@pytest.mark.parametrize(
+    "believed, open_by, refused", [(135, 0.09, True), (155, 0.07, True), (135, 0.04, False), (165, 0.09, False)]
+)
+def test_where_hardly_any_box_counts_and_these_do_not_agree_nothing_is_given(believed, open_by, refused):
+    """135 of 1602 boxes of a rendered town of look-alikes counted; its scale was 22 % too large, and poor."""
+    boxes = car_park(45, 2000, 2000, 60)
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
+    plan.plan, plan.posed = plan, None
+    found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector")
+    scale = measure_source(plan, found, DE).scale
+    scale = replace(scale, interval90=(scale.value * np.exp(-open_by), scale.value * np.exp(open_by)))
+    judged = if_confirmed(scale, believed, 1602 - believed)
+    assert (judged.verdict == UNUSABLE) == refused
+    (remark,) = [r for r in judged.remarks if "as few as of mistakes" in r.text]
+    assert (remark.severity, bool(remark.hint)) == ((REFUSAL, True) if refused else (CAUTION, False))
+
+
 @pytest.mark.parametrize("turn, agreement", [(0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, -1.0), (np.pi / 8, 0.0)])
 def test_neighbours_agree_where_they_are_parallel_or_across(turn, agreement):
     k = np.arange(40)

@@ -40,6 +40,11 @@ LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 # have up to 0.23, and 0.21 where so few boxes count; of 351 rendered towns full of look-alikes the eight that were
 # refused for it had 0.245 to 0.55 (`benchmarks/zoom_search.py`, 2026-11-24).
 MANY_LARGER = 0.23
+# Share of the boxes that count, below which these must agree, and how well (`Scale.half_width`). 99 real pictures
+# (places, quarters, chips) have a share of 0.2 or more. Of rendered towns of look-alikes with less than 0.1 those with
+# the right scale are known to 0.04; one known to 0.09 was 22 % too large (2026-11-26).
+HARDLY_ANY = 0.1
+AGREEING = 0.06
 
 
 def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -> Scale:
@@ -121,8 +126,8 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
 
 def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
     """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
-    `believed`: found by both detection passes and not set aside (`Detections.set_aside`). Refused where also more than
-    MANY_LARGER of the vehicles are larger ones.
+    `believed`: found by both detection passes and not set aside (`Detections.set_aside`). Refused where HARDLY_ANY are
+    that do not agree well, and where more than MANY_LARGER of the vehicles are larger ones.
 
     Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
     skylights and sheds, also gives boxes, and things of one other size give as certain a scale as vehicles, which
@@ -132,11 +137,17 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
     seen = believed + uncounted
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
+    refused = believed < HARDLY_ANY * seen and scale.half_width > AGREEING
     few = Remark(
-        CAUTION,
+        REFUSAL if refused else CAUTION,
         f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as of mistakes: see why the others do "
         "not, and whether there are vehicles at all",
+        "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)"
+        if refused
+        else "",
     )
+    if refused:
+        return scale.remarked(few, at_best=UNUSABLE)
     lower = scale.remarked(few, at_best=worst(one_step_below(scale.verdict), "poor"))
     if scale.larger_share <= MANY_LARGER:
         return lower
