@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -96,12 +97,12 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
     if one_grey(image):
         return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
-    reduced = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     passes = detect.passes if isinstance(detect, Detector) else Passes.FINE_FIRST
     finder = detect.confirming if isinstance(detect, Detector) else None
     if passes == Passes.CONFIRMED:
         confirm = confirm or finder
-    fine, coarse = _Pass(detect, image), _Pass(confirm or detect, reduced)
+    fine = _Pass(detect, image, tile.out_width, tile.out_height)
+    coarse = _Pass(confirm or detect, image, width, height)
     if passes == Passes.COARSE_FIRST:
         seen_coarsely = coarse.whole()
         seen_finely = fine.around(seen_coarsely, coarse)
@@ -109,7 +110,7 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
         seen_finely = fine.whole()
         seen_coarsely = coarse.around(seen_finely, fine)
     if passes == Passes.TWICE_CONFIRMED and finder:
-        by_finder = _Pass(finder, reduced).around(seen_coarsely, coarse)
+        by_finder = _Pass(finder, coarse.image, width, height).around(seen_coarsely, coarse)
         known, _, _ = matched(seen_coarsely[VEHICLES], by_finder[VEHICLES], SAME_VEHICLE)
         seen_coarsely[VEHICLES] = seen_coarsely[VEHICLES][known]
     coarse_tile = replace(tile, out_width=width, out_height=height)
@@ -123,11 +124,20 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
 
 @dataclass(frozen=True)
 class _Pass:
-    """What looks at a tile, and the tile's pixels as it sees them. Boxes are by kind; a plain function knows vehicles
-    only."""
+    """What looks at a tile, the tile's pixels, and how many of them it sees across and down. Boxes are by kind; a plain
+    function knows vehicles only."""
 
     detect: Detect
-    image: np.ndarray
+    pixels: np.ndarray
+    width: int
+    height: int
+
+    @cached_property
+    def image(self) -> np.ndarray:
+        """What it sees; made when it is first looked at, since most second passes are not taken."""
+        if self.pixels.shape[:2] == (self.height, self.width):
+            return self.pixels
+        return cv2.resize(self.pixels, (self.width, self.height), interpolation=cv2.INTER_AREA)
 
     def whole(self) -> dict[str, Boxes]:
         """All that it sees [px of the image]."""
@@ -141,8 +151,7 @@ class _Pass:
             return {VEHICLES: boxes}
         if not (isinstance(self.detect, Detector) and self.detect.takes_parts):
             return self.whole()
-        height, width = self.image.shape[:2]
-        centre = (boxes.xylwa[:, :2] * (width / by.image.shape[1])).clip(0, (width - 1, height - 1))
+        centre = (boxes.xylwa[:, :2] * (self.width / by.width)).clip(0, (self.width - 1, self.height - 1))
         x, y = (np.maximum(centre.min(0) - PART_BORDER, 0) // PART_GRID * PART_GRID).astype(int).tolist()
         right, bottom = (-(-(centre.max(0) + PART_BORDER) // PART_GRID) * PART_GRID).astype(int).tolist()
         part = self.image[y:bottom, x:right]

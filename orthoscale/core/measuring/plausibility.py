@@ -45,6 +45,7 @@ MANY_LARGER = 0.23
 # the right scale are known to 0.04; one known to 0.09 was 22 % too large (2026-11-26).
 HARDLY_ANY = 0.1
 AGREEING = 0.06
+INSPECT = "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)"
 
 
 def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -> Scale:
@@ -142,9 +143,7 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
         REFUSAL if refused else CAUTION,
         f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as of mistakes: see why the others do "
         "not, and whether there are vehicles at all",
-        "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)"
-        if refused
-        else "",
+        INSPECT if refused else "",
     )
     if refused:
         return scale.remarked(few, at_best=UNUSABLE)
@@ -155,7 +154,7 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
         REFUSAL,
         f"{percent(scale.larger_share)} of the boxes are much larger than cars, where most boxes are mistakes: these "
         "may be the cars, and the others something else",
-        "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)",
+        INSPECT,
     )
     return lower.remarked(remark, at_best=UNUSABLE)
 
