@@ -15,7 +15,7 @@ from orthoscale.detect.decoders import decode_maps
 from orthoscale.detect.measurer import ANSWERS
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene
-from training import augment, by_hand, data, kinds, missing, propose
+from training import augment, by_hand, data, kinds, measured, missing, propose
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
     Comparison,
@@ -45,6 +45,7 @@ from training.paste import paste
 from training.targets import CROP, encode
 
 NOTHING = np.empty((0, 5))
+FINDER_FILE = Path(measured.__file__).parents[1] / "orthoscale" / "detect" / "weights" / "finder.onnx"
 
 
 def rows(boxes, kind="vehicle"):
@@ -179,8 +180,68 @@ def test_light_and_sensor_keep_shape_and_range():
     pixels = rng.integers(0, 256, (CROP, CROP, 3)).astype(np.uint8)
     for _ in range(25):
         out = augment.photometric(pixels, rng)
-        assert out.shape == pixels.shape and out.dtype == np.float32
-        assert out.min() >= 0 and out.max() <= 1
+        assert out.shape == pixels.shape and out.dtype == np.uint8
+
+
+def test_a_stretch_makes_some_shadows_black_and_some_light_things_white():
+    ramp = np.tile(np.linspace(0.3, 0.6, CROP, dtype=np.float32)[:, None, None], (1, CROP, 3))
+    stretched = augment.stretch(ramp, np.random.default_rng(4))
+    assert stretched.min() < 0 and stretched.max() > 1
+    assert ((stretched > 0) & (stretched < 1)).mean() > 0.8
+
+
+def test_sharpened_edges_have_halos_and_soft_ones_are_wide(monkeypatch):
+    step = np.full((CROP, CROP, 3), 0.3, np.float32)
+    step[:, CROP // 2 :] = 0.7
+
+    def across(enlarged, sharpened):
+        monkeypatch.setattr(augment, "ENLARGED", enlarged)
+        monkeypatch.setattr(augment, "SHARPENED", sharpened)
+        rows = [augment.sensed(step.copy(), np.random.default_rng(seed))[CROP // 2, :, 0] for seed in range(20)]
+        return [row for row in rows if np.abs(np.diff(row[:20])).max() < 1e-6]  # without noise
+
+    assert max(row.max() for row in across(0, 1)) > 0.75
+    assert max((np.abs(np.diff(row)) > 0.01).sum() for row in across(1, 0)) > 3
+    assert max(row.max() for row in across(0, 0)) <= 0.7 + 1e-5
+
+
+def test_some_crops_show_vehicles_of_other_shapes(tmp_path, monkeypatch):
+    images = read_labels(write_labels(tmp_path, {"a": (None, rows([[200, 200, 40, 16, 0.3]]))}))
+
+    def spread(reshaped):
+        monkeypatch.setattr(augment, "RESHAPED", reshaped)
+        rng, shapes = np.random.default_rng(1), []
+        for _ in range(200):
+            *_, values, weight = augment.crop(images[0], rng)
+            if weight.any():
+                length, width = values[2:4, weight == weight.max()][:, 0]
+                shapes.append(length - width)
+        return np.std(shapes)
+
+    assert spread(1.0) > 1.4 * spread(0.0)
+
+
+def test_measured_boxes_take_the_place_of_drawn_ones(tmp_path):
+    drawn = [[100, 100, 44, 20, 0.2], [200, 150, 44, 20, 0], [300, 300, 60, 25, 1.0]]
+    file = write_labels(tmp_path, {"a": (None, rows(drawn))})
+    before = read_labels(file)
+
+    class OneLook:
+        card = SimpleNamespace(ruler=SimpleNamespace(margin=np.array([1.0, 0.5])))
+
+        def in_pixels(self, pixels, boxes, looks):
+            told = boxes.xylwa + [1, -1, -2, -1, 0.01]
+            told[1, 2] *= 0.7  # too far from what was drawn
+            kind = np.tile([1.0, 0, 0, 0, 0], (len(told), 1))
+            kind[2] = [0, 0, 0, 0, 1]  # no vehicle
+            return SimpleNamespace(boxes=replace(boxes, xylwa=told), kind=kind)
+
+    kept = measured.measured(OneLook(), before[0])
+    assert kept == {0: [101, 99, 41, 18.5, 0.21]}
+    (tmp_path / "measured.json").write_text(json.dumps({"images": {before[0].path.name: kept}}))
+    (after,) = measured.with_measured(before, tmp_path / "measured.json")
+    assert after.boxes[0].tolist() == kept[0]
+    assert np.array_equal(after.boxes[1:], before[0].boxes[1:])
 
 
 def test_crops_are_drawn_from_every_scene(tmp_path):
@@ -859,6 +920,7 @@ def test_the_loss_falls_on_a_handful_of_crops(torch, tmp_path):
     images = read_labels(small_label_set(tmp_path))[:1]
     stream = augment.crops(images, {}, seed=0)
     image, *targets = (torch.from_numpy(np.stack(part)) for part in zip(*(next(stream) for _ in range(4)), strict=True))
+    image = image.float() / 255
     network = VehicleNet()
     optimiser = torch.optim.AdamW(network.parameters(), 1.5e-3)
     losses = []
@@ -964,6 +1026,12 @@ def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
     assert further["optimiser"]["state"][0]["step"] == 4
     with pytest.raises(ValueError, match="atlantis"):
         run("--steps", 2, "--hold-out", "atlantis")
+    # Two learn from the same crops, and end when their time is up.
+    run("--steps", 1000, "--minutes", 0.002, "--network", "small", "lite0", "--start", tmp_path / "run/checkpoint.pt",
+        FINDER_FILE)  # fmt: skip
+    for kind in ("small", "lite0"):
+        kept = torch.load(tmp_path / "run" / kind / "checkpoint.pt", map_location="cpu")
+        assert kept["kind"] == kind and 0 < kept["step"] < 1000
 
 
 def test_a_training_that_goes_on_between_two_lines_of_its_log_has_true_means_there(tmp_path):

@@ -23,10 +23,16 @@ PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
 DECEIVING = 0.5  # share of the crops of pictures with lookalikes that are drawn about these, not about vehicles
 SHADED = 0.35  # share of the crops with shadows cast on them
+# Shares of the crops whose colours are changed or lost, whose contrast is stretched, that are enlarged from fewer
+# pixels, and that are sharpened.
+COLOURED, STRETCHED, ENLARGED, SHARPENED = 0.4, 0.25, 0.15, 0.25
+# Share of the crops that are stretched along one axis, and by how much (one sigma): vehicles of other shapes than the
+# training scenes', of which a detector otherwise draws a part back to the usual one.
+RESHAPED, SHAPES_SD = 0.3, 0.12
 
 
 def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> Iterator[tuple[np.ndarray, ...]]:
-    """Endless (image (3, CROP, CROP) float32 RGB 0..1, *targets of :func:`encode`), scenes drawn by weight."""
+    """Endless (image (3, CROP, CROP) uint8 RGB, *targets of :func:`encode`), scenes drawn by weight."""
     rng = np.random.default_rng(seed)
     by_scene: dict[str, list[LabelledImage]] = {}
     for image in images:
@@ -62,6 +68,9 @@ def crop(
     linear = linear @ np.diag([rng.choice([-1.0, 1.0]), 1.0])
     if rng.random() < 0.4:
         linear = linear @ (np.eye(2) + rng.normal(0, 0.05, (2, 2)))
+    if rng.random() < RESHAPED:
+        longer = np.exp(rng.normal(0, SHAPES_SD) / 2)
+        linear = np.diag([longer, 1 / longer]) @ linear
     shift = CROP / 2 - linear @ centre
 
     pixels, boxes = warp(image, linear, shift, scale, rng), transform_boxes(image.boxes, linear, shift)
@@ -81,7 +90,7 @@ def glints(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     Where a random field is high. The network took the glints of a river, magnified, for white cars.
     """
     size = np.exp(rng.uniform(*np.log((2.0, 12.0))))  # about the specks' half width [px]
-    field = rng.normal(0, 1, (CROP, CROP)).astype(np.float32)
+    field = rng.standard_normal((CROP, CROP), np.float32)
     field = cv2.GaussianBlur(field, (0, 0), sigmaX=size * rng.uniform(1.0, 3.0), sigmaY=size)
     turn = cv2.getRotationMatrix2D((CROP / 2, CROP / 2), rng.uniform(0, 180), 1.0)
     field = cv2.warpAffine(field, turn, (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
@@ -99,6 +108,9 @@ def edge_shadow(rng: np.random.Generator) -> np.ndarray:
     return cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 3))
 
 
+COARSER = 8  # times fewer pixels in which the cover of whole crowns is drawn
+
+
 def leaves(rng: np.random.Generator) -> np.ndarray:
     """(CROP, CROP) float32, 1 in the shadow of trees, 0 in the sun, which also comes through in flecks.
 
@@ -106,37 +118,59 @@ def leaves(rng: np.random.Generator) -> np.ndarray:
     """
     cover = np.ones((CROP, CROP), np.float32)
     for size, share in ((rng.uniform(20, 60), rng.uniform(0.3, 0.9)), (rng.uniform(1.5, 6), rng.uniform(0.7, 1.0))):
-        field = rng.normal(0, 1, (CROP, CROP)).astype(np.float32)
-        field = cv2.GaussianBlur(field, (0, 0), size, borderType=cv2.BORDER_REFLECT)
+        coarser = COARSER if size > 2 * COARSER else 1  # what is so smooth needs no more pixels
+        field = rng.standard_normal((CROP // coarser, CROP // coarser), np.float32)
+        field = cv2.GaussianBlur(field, (0, 0), size / coarser, borderType=cv2.BORDER_REFLECT)
+        field = cv2.resize(field, (CROP, CROP), interpolation=cv2.INTER_CUBIC)
         field = (field - np.quantile(field, 1 - share)) / field.std()
         cover *= np.clip(0.5 + field / rng.uniform(0.2, 1.0), 0, 1).astype(np.float32)
     return cover
 
 
 def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Light, haze, cast shadows, lost colour, blur, noise, JPEG: uint8 in, float32 0..1 out."""
+    """Light, haze, cast shadows, lost colour, and what cameras and makers of orthophotos do to a picture: uint8 in and
+    out."""
     x = pixels.astype(np.float32) / 255
     if rng.random() < 0.8:
-        x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.35)))
-        x = x * np.float32(rng.uniform(0.65, 1.3)) + np.float32(rng.uniform(-0.1, 0.1))
-        x = x * (1 + rng.normal(0, 0.09, 3)).astype(np.float32)
+        x **= np.float32(np.exp(rng.normal(0, 0.35)))
+        x *= (rng.uniform(0.65, 1.3) * (1 + rng.normal(0, 0.09, 3))).astype(np.float32)
+        x += np.float32(rng.uniform(-0.1, 0.1))
     if rng.random() < 0.12:  # haze
-        x = x + np.float32(rng.uniform(0.1, 0.5)) * (np.float32(rng.uniform(0.6, 0.9)) - x)
+        x += np.float32(rng.uniform(0.1, 0.5)) * (np.float32(rng.uniform(0.6, 0.9)) - x)
     if rng.random() < SHADED:
         light = np.float32(rng.uniform(0.2, 0.7) * np.array([0.93, 0.98, 1.09]))  # what is left is the sky's, bluish
         cover = leaves(rng) if rng.random() < 0.6 else edge_shadow(rng)
-        x = x * (1 + (light - 1) * cover[..., None])
-    if rng.random() < 0.15:
-        x = np.repeat(x.mean(2, keepdims=True), 3, 2)
-    x = np.clip(x, 0, 1)
+        x *= 1 + (light - 1) * cover[..., None]
+    if rng.random() < COLOURED:  # none at all in a third
+        share = np.float32(0 if rng.random() < 1 / 3 else rng.uniform(0.3, 1.7))
+        x = share * x + (1 - share) * x.mean(2, keepdims=True)
+    if rng.random() < STRETCHED:
+        x = stretch(x, rng)
+    x = sensed(np.clip(x, 0, 1), rng)
+    x = np.round(x * 255).astype(np.uint8)
+    if rng.random() < 0.3:
+        _, jpeg = cv2.imencode(".jpg", x, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 92))])
+        x = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+    return x
+
+
+def stretch(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Contrast stretched as orthophotos are, until some of the shadows are black and some light things white."""
+    low, high = np.quantile(x[::4, ::4], (rng.uniform(0, 0.06), 1 - rng.uniform(0, 0.06)))
+    return (x - np.float32(low)) / np.float32(max(high - low, 0.1))
+
+
+def sensed(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Blurred, enlarged from fewer pixels, sharpened until edges have halos, noisy; float32 0..1 in and out."""
     if rng.random() < 0.3:
         x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.4))
+    if rng.random() < ENLARGED:
+        side = round(CROP / rng.uniform(1.2, 2.5))
+        few = cv2.resize(x, (side, side), interpolation=cv2.INTER_AREA)
+        x = cv2.resize(few, (CROP, CROP), interpolation=int(rng.choice((cv2.INTER_LINEAR, cv2.INTER_CUBIC))))
+    if rng.random() < SHARPENED:
+        x += np.float32(rng.uniform(0.5, 2.5)) * (x - cv2.GaussianBlur(x, (0, 0), rng.uniform(0.6, 1.6)))
     if rng.random() < 0.3:
-        x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
-    x = np.clip(x, 0, 1)
-    if rng.random() < 0.3:
-        _, jpeg = cv2.imencode(
-            ".jpg", (x * 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 92))]
-        )
-        x = cv2.imdecode(jpeg, cv2.IMREAD_COLOR).astype(np.float32) / 255
-    return x.astype(np.float32)
+        noise = rng.standard_normal(x.shape, np.float32)
+        x += np.float32(rng.uniform(0.005, 0.04)) * noise
+    return np.clip(x, 0, 1)

@@ -57,7 +57,7 @@ class Depthwise(nn.Conv2d):
         super().__init__(channels, channels, size, stride, size // 2, groups=channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        if not torch.is_grad_enabled():
+        if not torch.is_grad_enabled() or x.is_cuda:
             return super().forward(x)
         weight, bias = self.weight, self.bias
         if torch.is_autocast_enabled(x.device.type):

@@ -2,10 +2,11 @@
 
     python -m training.train --labels ../shared/data/vehicles/labels.json --run runs/v1 --hold-out ohio
     python -m training.train ... --network lite0 --run runs/finder      # on layers that ImageNet taught
+    python -m training.train ... --network small lite0 --run runs/both  # both from the same crops, on a GPU
     python -m training.train ... --run runs/v1 --resume                 # go on where the checkpoint stands
 
-The learning rate follows the share of `--steps` done (warm-up, then a half cosine), so an interrupted run that is
-resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
+The learning rate follows the share of `--steps` or `--minutes` done (warm-up, then a half cosine), so an interrupted run
+that is resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -21,8 +24,9 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from .augment import crops
-from .data import read_labels, split
+from .data import LabelledImage, read_labels, split
 from .log import Log
+from .measured import with_measured
 from .network import NETWORKS, Finder, loss
 from .unfold import unfolded
 
@@ -37,6 +41,8 @@ PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps
 CHECKPOINT = "checkpoint.pt"
 CHECKPOINT_EVERY = 250  # steps
+LOOKED_AT = 10  # steps between two whose loss is looked at: a GPU has to wait for each
+COARSEST = 3  # half-size level of a picture that crops are taken from
 
 
 class Crops(IterableDataset):
@@ -51,22 +57,27 @@ class Crops(IterableDataset):
 @torch.no_grad()
 def follow(average: dict[str, torch.Tensor], network: torch.nn.Module, keep: float) -> None:
     """Move the exponential moving `average` of weights towards those of `network`; `keep` is the share that stays."""
-    for name, value in network.state_dict().items():
-        if value.dtype.is_floating_point:
-            average[name].mul_(keep).add_(value, alpha=1 - keep)
-        else:
-            average[name].copy_(value)
+    state = network.state_dict()
+    learnt = [name for name, value in state.items() if value.dtype.is_floating_point]
+    torch._foreach_lerp_([average[name] for name in learnt], [state[name] for name in learnt], 1 - keep)
+    for name in state.keys() - learnt:
+        average[name].copy_(state[name])
 
 
-def learning_rate(step: int, steps: int, peak: float = PEAK_RATE) -> float:
-    return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
+def learning_rate(step: int, done: float, peak: float = PEAK_RATE) -> float:
+    """At `step`, when the share `done` of the training is."""
+    return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * done)) + 0.01)
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint.pt and log.jsonl")
-    parser.add_argument("--network", choices=NETWORKS, default="small", help="(%(default)s)")
+    parser.add_argument(
+        "--network", choices=NETWORKS, nargs="+", default=["small"],
+        help="(small) several learn from the same crops, each in a folder of the run that has its name",
+    )
+    parser.add_argument("--measured", type=Path, help="boxes of training.measured that take the place of drawn ones")
     parser.add_argument("--hold-out", default="", help="scenes not trained on, comma separated")
     parser.add_argument("--steps", type=int, default=7000)
     parser.add_argument("--batch", type=int, default=16)
@@ -76,14 +87,17 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--backbone-rate", type=float, default=0.25, help="share of it for what ImageNet taught (%(default)s)"
     )
+    parser.add_argument("--learn-all", action="store_true", help="on a GPU: also the layers that lite0 leaves alone")
+    parser.add_argument("--minutes", type=float, help="end after these, if the steps are not done before")
     parser.add_argument("--seed", type=int, default=0)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true")
     start.add_argument(
         "--start",
         type=Path,
+        nargs="+",
         metavar="CHECKPOINT|ONNX",
-        help="begin with the average of another run, or what it exported",
+        help="begin with the average of another run, or what it exported; one for each network",
     )
     return parser.parse_args()
 
@@ -99,67 +113,75 @@ def optimiser_of(network: torch.nn.Module, backbone_rate: float) -> torch.optim.
 
 @dataclass
 class State:
-    """A training run between two steps. kind : key of NETWORKS. average : exponential moving average of the weights."""
+    """The training of one network between two steps. kind : key of NETWORKS. run : folder of its checkpoint and log.
+    average : exponential moving average of the weights."""
 
     kind: str
+    run: Path
     network: torch.nn.Module
     optimiser: torch.optim.Optimizer
     average: dict[str, torch.Tensor]
     step: int = 0
 
     @classmethod
-    def begun(cls, options: argparse.Namespace, training: list, device: str) -> State:
+    def begun(cls, kind: str, start: Path | None, options: argparse.Namespace, training: list, device: str) -> State:
         """At step 0 with new, pretrained or given weights, or where the run's checkpoint ended.
 
+        start : whose weights are taken, if any.
         training : images of which a batch passes through a network that is read from ONNX (see `unfold`).
         """
-        network = NETWORKS[options.network]()
-        if isinstance(network, Finder) and not (options.start or options.resume):
+        network = NETWORKS[kind]()
+        if isinstance(network, Finder) and not (start or options.resume):
             network.backbone.load_imagenet()
+        if options.learn_all:
+            network.requires_grad_(True)
         network.to(device, memory_format=torch.channels_last)
         optimiser = optimiser_of(network, options.backbone_rate)
-        state = cls(options.network, network, optimiser, copied(network.state_dict()))
-        if options.start:
-            state.take(options, training, device)
+        run = options.run / kind if len(options.network) > 1 else options.run
+        run.mkdir(parents=True, exist_ok=True)
+        state = cls(kind, run, network, optimiser, copied(network.state_dict()))
+        if start:
+            state.take(start, options, training, device)
         elif options.resume:
-            state.resume(options.run, device)
+            state.resume(device)
         return state
 
-    def take(self, options: argparse.Namespace, training: list, device: str) -> None:
+    def take(self, start: Path, options: argparse.Namespace, training: list, device: str) -> None:
         """Take the averaged weights of another run, from its checkpoint or its exported file."""
-        if options.start.suffix == ".onnx":
+        if start.suffix == ".onnx":
             sample = islice(crops(training, SCENE_WEIGHTS, options.seed), options.batch)
-            seen = torch.stack([torch.from_numpy(image) for image, *_ in sample])
-            average = unfolded(options.start, self.network, seen)
+            seen = as_input(torch.stack([torch.from_numpy(image) for image, *_ in sample]), device)
+            average = unfolded(start, self.network, seen)
         else:
-            average = torch.load(options.start, map_location=device)["average"]
+            average = torch.load(start, map_location=device)["average"]
         self.network.load_state_dict(average)
         self.average = copied(average)
 
-    def resume(self, run: Path, device: str) -> None:
-        """Go on from the checkpoint in `run`."""
-        kept = torch.load(run / CHECKPOINT, map_location=device)
+    def resume(self, device: str) -> None:
+        """Go on from the run's checkpoint."""
+        kept = torch.load(self.run / CHECKPOINT, map_location=device)
         self.network.load_state_dict(kept["network"])
         self.optimiser.load_state_dict(kept["optimiser"])
         self.average, self.step = kept["average"], kept["step"]
 
-    def save(self, run: Path) -> None:
-        """Write the checkpoint into `run`, whole or not at all."""
+    def save(self) -> None:
+        """Write the checkpoint, whole or not at all."""
         kept = {
             "kind": self.kind, "step": self.step, "network": self.network.state_dict(), "average": self.average,
             "optimiser": self.optimiser.state_dict(),
         }  # fmt: skip
-        partial = (run / CHECKPOINT).with_suffix(".partial")
+        partial = (self.run / CHECKPOINT).with_suffix(".partial")
         torch.save(kept, partial)
-        partial.replace(run / CHECKPOINT)
+        partial.replace(self.run / CHECKPOINT)
 
-    def learn(self, batch: list[torch.Tensor], rate: float, device: str) -> dict[str, torch.Tensor]:
+    def learn(
+        self, image: torch.Tensor, targets: list[torch.Tensor], rate: float, device: str
+    ) -> dict[str, torch.Tensor]:
         """One step at the learning rate `rate`; the parts of the loss."""
         for group in self.optimiser.param_groups:
             group["lr"] = group["share"] * rate
-        image, *targets = (part.to(device, non_blocking=True) for part in batch)
         with in_16_bits(device):
-            maps = self.network(image.contiguous(memory_format=torch.channels_last))
+            maps = self.network(image)
         parts = loss(maps.float(), *targets)
         self.optimiser.zero_grad()
         sum(parts.values()).backward()
@@ -181,29 +203,59 @@ def copied(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name: value.clone() for name, value in weights.items()}
 
 
+def as_input(image: torch.Tensor, device: str) -> torch.Tensor:
+    """RGB (n, 3, h, w) uint8 as networks take it, 0..1, on `device`."""
+    image = image.to(device, non_blocking=True, memory_format=torch.channels_last)
+    return image.float() / 255
+
+
+def decoded(images: list[LabelledImage], threads: int) -> None:
+    """Decode all pictures now, so that the processes that crop them share what they see."""
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda image: image.level(COARSEST), images))
+
+
 def main() -> None:
     options = arguments()
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.manual_seed(options.seed)
     torch.set_num_threads(options.threads)
     images = [image for file in options.labels for image in read_labels(file)]
+    if options.measured:
+        images = with_measured(images, options.measured)
     training, _ = split(images, set(filter(None, options.hold_out.split(","))))
-    options.run.mkdir(parents=True, exist_ok=True)
-    state = State.begun(options, training, device)
-    state.network.train()
+    if options.workers > 1:
+        decoded(training, options.workers)
+    starts = options.start or [None] * len(options.network)
+    states = [
+        State.begun(kind, start, options, training, device)
+        for kind, start in zip(options.network, starts, strict=True)
+    ]
+    for state in states:
+        state.network.train()
+    step = states[0].step
     loader = DataLoader(
-        Crops(training, options.seed + 1000 * state.step), batch_size=options.batch, num_workers=options.workers,
-        prefetch_factor=8 if options.workers else None,
+        Crops(training, options.seed + 1000 * step), batch_size=options.batch, num_workers=options.workers,
+        prefetch_factor=max(2, 8 // options.workers) if options.workers else None, pin_memory=device != "cpu",
     )  # fmt: skip
-    log = Log(options.run, 100, options.batch, state.step, options.steps)
-    for batch in loader:
-        if state.step >= options.steps:
+    logs = [Log(state.run, 100, options.batch, step, options.steps) for state in states]
+    begun, minutes = time.monotonic(), options.minutes or math.inf
+    for images_of_batch, *targets in loader:
+        done = max(step / options.steps, (time.monotonic() - begun) / 60 / minutes)
+        if done >= 1:
             break
-        parts = state.learn(batch, learning_rate(state.step, options.steps, options.rate), device)
-        log.add(state.step, {name: value.item() for name, value in parts.items()})
-        if state.step % CHECKPOINT_EVERY == 0:
-            state.save(options.run)
-    state.save(options.run)
+        image = as_input(images_of_batch, device)
+        targets = [part.to(device, non_blocking=True) for part in targets]
+        rate = learning_rate(step, done, options.rate)
+        step += 1
+        for state, log in zip(states, logs, strict=True):
+            parts = state.learn(image, targets, rate, device)
+            if step % LOOKED_AT == 0:
+                log.add(step, {name: value.item() for name, value in parts.items()})
+            if step % CHECKPOINT_EVERY == 0:
+                state.save()
+    for state in states:
+        state.save()
 
 
 if __name__ == "__main__":

@@ -97,7 +97,7 @@ def main() -> None:
     network.train()
     while step < options.steps:
         for group in optimiser.param_groups:
-            group["lr"] = group["times"] * learning_rate(step, options.steps, options.rate)
+            group["lr"] = group["times"] * learning_rate(step, step / options.steps, options.rate)
         arrays = next(made)
         with in_16_bits("cpu"):
             outputs = network(arrays["pixels"].float())
