@@ -25,7 +25,8 @@ from orthoscale.detect.remeasure import NONE
 from .data import LabelledImage, read_labels
 
 LOOKS = 2  # at each vehicle: drawn boxes are nearer than a detector's
-# A measured box is believed within this factor of the drawn one, and if its centre lies within this share of the length.
+# A measured box is believed within this factor of the drawn one, and if its centre lies within this share of the length
+# (and its axis within as many radians).
 NEAR = 1.2
 ASIDE = 0.15
 

@@ -5,8 +5,8 @@
     python -m training.train ... --network small lite0 --run runs/both  # both from the same crops, on a GPU
     python -m training.train ... --run runs/v1 --resume                 # go on where the checkpoint stands
 
-The learning rate follows the share of `--steps` or `--minutes` done (warm-up, then a half cosine), so an interrupted run
-that is resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
+The learning rate follows the share of `--steps` or `--minutes` done (warm-up, then a half cosine), so a run of so many
+steps that is interrupted and resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from itertools import islice
 from pathlib import Path
 
 import torch
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from .augment import crops
@@ -59,7 +60,7 @@ def follow(average: dict[str, torch.Tensor], network: torch.nn.Module, keep: flo
     """Move the exponential moving `average` of weights towards those of `network`; `keep` is the share that stays."""
     state = network.state_dict()
     learnt = [name for name, value in state.items() if value.dtype.is_floating_point]
-    torch._foreach_lerp_([average[name] for name in learnt], [state[name] for name in learnt], 1 - keep)
+    get_ema_multi_avg_fn(keep)([average[name] for name in learnt], [state[name] for name in learnt], None)
     for name in state.keys() - learnt:
         average[name].copy_(state[name])
 
@@ -74,7 +75,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint.pt and log.jsonl")
     parser.add_argument(
-        "--network", choices=NETWORKS, nargs="+", default=["small"],
+        "--network",
+        choices=NETWORKS,
+        nargs="+",
+        default=["small"],
         help="(small) several learn from the same crops, each in a folder of the run that has its name",
     )
     parser.add_argument("--measured", type=Path, help="boxes of training.measured that take the place of drawn ones")
@@ -228,8 +232,7 @@ def main() -> None:
         decoded(training, options.workers)
     starts = options.start or [None] * len(options.network)
     states = [
-        State.begun(kind, start, options, training, device)
-        for kind, start in zip(options.network, starts, strict=True)
+        State.begun(kind, start, options, training, device) for kind, start in zip(options.network, starts, strict=True)
     ]
     for state in states:
         state.network.train()
