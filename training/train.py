@@ -6,7 +6,8 @@
     python -m training.train ... --run runs/v1 --resume                 # go on where the checkpoint stands
 
 The learning rate follows the share of `--steps` or `--minutes` done (warm-up, then a half cosine), so a run of so many
-steps that is interrupted and resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
+steps that is interrupted and resumed ends where an uninterrupted one would. The shipped weights are the exponential
+moving average.
 """
 
 from __future__ import annotations
