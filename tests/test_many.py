@@ -18,8 +18,8 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import finished, many
-from orthoscale.actions.inputs import inputs_of, not_looked_into, outputs_of
+from orthoscale.actions import finished, inputs, many
+from orthoscale.actions.inputs import Named, outputs_of
 from orthoscale.cli.many import tell_rehearsals
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
@@ -137,22 +137,22 @@ def test_a_bug_is_worse_than_any_input(codes, worst):
 
 def test_what_is_named(parks, tmp_path):
     pictures = parks / "pictures"
-    assert inputs_of([pictures / "*.png", pictures / "a.png"]) == [pictures / "a.png", pictures / "b.png"]
+    assert Named([pictures / "*.png", pictures / "a.png"]).inputs == [pictures / "a.png", pictures / "b.png"]
     with pytest.raises(InputError, match="no file fits"):
-        inputs_of([tmp_path / "*.tif"])
+        _ = Named([tmp_path / "*.tif"]).inputs
     work = tmp_path / "work"
     for k in "01":
         shutil.copytree(EXAMPLE / "sparse", work / "sparse" / k)
-    assert inputs_of([work]) == [work / "sparse/0", work / "sparse/1"]
+    assert Named([work]).inputs == [work / "sparse/0", work / "sparse/1"]
     both = [work / "sparse/0", work / "sparse/1"]
-    assert inputs_of([tmp_path]) == inputs_of([tmp_path / "*"]) == both, "a folder of models"
+    assert Named([tmp_path]).inputs == Named([tmp_path / "*"]).inputs == both, "a folder of models"
     shutil.copy(pictures / "a.png", tmp_path / "a.png")
-    assert inputs_of([tmp_path]) == [tmp_path / "a.png", *both]
+    assert Named([tmp_path]).inputs == [tmp_path / "a.png", *both]
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no COLMAP model"):
-        inputs_of([tmp_path / "empty"])
-    assert inputs_of([tmp_path / "empty", pictures / "a.png"]) == [tmp_path / "empty", pictures / "a.png"]
-    assert inputs_of([tmp_path / "*"]) == [tmp_path / "a.png", tmp_path / "empty", *both], "it stopped all others"
+        _ = Named([tmp_path / "empty"]).inputs
+    assert Named([tmp_path / "empty", pictures / "a.png"]).inputs == [tmp_path / "empty", pictures / "a.png"]
+    assert Named([tmp_path / "*"]).inputs == [tmp_path / "a.png", tmp_path / "empty", *both], "it stopped all others"
 
 
 def test_folders_that_are_not_looked_into_are_said(tmp_path):
@@ -162,9 +162,30 @@ def test_folders_that_are_not_looked_into_are_said(tmp_path):
         (tmp_path / f"{2020 + k}").mkdir()
         (tmp_path / f"{2020 + k}" / "a.jp2").touch()
     (tmp_path / "notes").mkdir()
-    (told,) = not_looked_into([tmp_path, tmp_path / "2020", tmp_path / "model"])
+    (told,) = Named([tmp_path, tmp_path / "2020", tmp_path / "model"]).not_looked_into
     assert "not looked into 2020, 2021, 2022, 2023, 2024 and 2 more;" in told and f"'{tmp_path}/*/*.jp2'" in told
-    assert not_looked_into([tmp_path / "none", tmp_path / "*"]) == []
+    assert Named([tmp_path / "none", tmp_path / "*"]).not_looked_into == []
+
+
+def test_folders_are_listed_once(tmp_path, monkeypatch):
+    """Those of a large archive on a network drive were listed for what is in them, for whether it is one input, and
+    for what is left out."""
+    (tmp_path / "below").mkdir()
+    for place in ("a.tif", "below/b.tif"):
+        (tmp_path / place).touch()
+    asked = []
+    monkeypatch.setattr(inputs, "_is_model", lambda folder: asked.append(folder))
+    named = inputs.Named([tmp_path])
+    assert named.many and named.inputs == [tmp_path / "a.tif"] and len(named.not_looked_into) == 1
+    assert asked == [tmp_path, tmp_path / "below"]
+
+
+def test_folders_below_those_that_fit_a_pattern_are_said(tmp_path):
+    (tmp_path / "2020/more").mkdir(parents=True)
+    for place in ("2020/a.tif", "2020/more/b.tif"):
+        (tmp_path / place).touch()
+    (told,) = Named([tmp_path / "*"]).not_looked_into
+    assert told.startswith(f"{tmp_path / '2020'}: not looked into more;")
 
 
 def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
@@ -384,7 +405,7 @@ def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     popen = many.subprocess.Popen
     monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
     request = EstimateRequest(fleet="DE", detections=parks / "boxes.json")
-    rows = many.run_many("estimate", inputs_of([parks / "pictures/*.png"]), request)
+    rows = many.run_many("estimate", Named([parks / "pictures/*.png"]).inputs, request)
     assert [row["exit_code"] for row in rows] == [1, 0] and "ended with -9" in rows[0]["error"]
     assert many.worst(rows) == 1
 
@@ -397,7 +418,7 @@ def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
     out = tmp_path / "out"
     request = FixRequest(fleet="DE", detections=parks / "boxes.json")
     with pytest.raises(KeyboardInterrupt):
-        many.run_many("fix", inputs_of([parks / "pictures/*.png"]), request, out, 1, stop)
+        many.run_many("fix", Named([parks / "pictures/*.png"]).inputs, request, out, 1, stop)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
 

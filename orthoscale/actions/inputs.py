@@ -8,7 +8,8 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from pathlib import Path
 
 from ..errors import InputError, UsageError
@@ -21,55 +22,67 @@ from .workspace import models_in
 MOST_NAMED = 5  # folders, in a sentence
 
 
-def is_many(words: Sequence[Path]) -> bool:
-    """Whether `words` may name more than one input: several of them, a pattern, or a folder that is no model."""
-    return len(words) > 1 or any(_is_pattern(word) or bool(_in_folder(word)) for word in words)
+class Named:
+    """What the words of a command line name. Each folder that stands for what is in it is listed once, when it is first
+    asked for."""
 
+    def __init__(self, words: Iterable[Path]):
+        self.words = tuple(words)
+        self._listed: dict[Path, _Listed] = {}
 
-def inputs_of(words: Iterable[Path]) -> list[Path]:
-    """The inputs that `words` name, each once, in their order.
+    @property
+    def many(self) -> bool:
+        """Whether the words may name more than one input: several of them, a pattern, or a folder that is no model."""
+        return len(self.words) > 1 or any(_is_pattern(word) or bool(self._list(word).inputs) for word in self.words)
 
-    A folder that holds no model stands for the pictures and the models in it (but for a report's pictures), a
-    pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it, and a workspace with several models for each of them,
-    also where a folder or a pattern stands for it. What does not exist stands for itself, and so does a folder in which
-    there is nothing: what is wrong with it stops no other input. Raises InputError for a pattern that nothing fits, and
-    for such a folder alone.
-    """
-    words = list(words)
-    found: dict[str, Path] = {}
-    for word in words:
-        named = [word]
-        if _is_pattern(word):
-            named = [Path(name) for name in sorted(glob.glob(str(word), recursive=True))]
-            if not named:
-                raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
-        for path in named:
-            for each in _in_folder(path) or [path]:
-                for one in _models_in(each, alone=len(words) == len(named) == 1) or [each]:
-                    found.setdefault(os.path.realpath(one), one)
-    return list(found.values())
+    @cached_property
+    def inputs(self) -> list[Path]:
+        """The inputs, each once, in the order of the words.
 
+        A folder that holds no model stands for the pictures and the models in it (but for a report's pictures), a
+        pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it, and a workspace with several models for each of
+        them, also where a folder or a pattern stands for it. What does not exist stands for itself, and so does a
+        folder in which there is nothing: what is wrong with it stops no other input. Raises InputError for a pattern
+        that nothing fits, and for such a folder alone.
+        """
+        found: dict[str, Path] = {}
+        for word in self.words:
+            named = [word]
+            if _is_pattern(word):
+                named = [Path(name) for name in sorted(glob.glob(str(word), recursive=True))]
+                if not named:
+                    raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
+            for path in named:
+                for each in self._list(path).inputs or [path]:
+                    for one in _models_in(each, alone=len(self.words) == len(named) == 1) or [each]:
+                        found.setdefault(os.path.realpath(one), one)
+        return list(found.values())
 
-def not_looked_into(words: Iterable[Path]) -> list[str]:
-    """Of each folder in `words` that stands for what is in it: the folders in it whose pictures do not count, in a
-    sentence that says how to name these."""
-    told = []
-    for word in words:
-        inside = sorted(word.iterdir()) if _in_folder(word) else []
-        below = [each for each in inside if each.is_dir() and each.name[:1] != "." and not _is_model(each)]
-        pictures: dict[Path, Path] = {}
-        for folder in below:
-            with suppress(OSError, StopIteration):  # one that may not be listed, or has none
-                pictures[folder] = next(iter(_in_folder(folder)))
-        if pictures:
-            names = ", ".join(folder.name for folder in [*pictures][:MOST_NAMED])
-            more = len(pictures) - MOST_NAMED
-            pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
-            told.append(
-                f"{word}: not looked into {names}{f' and {more} more' if more > 0 else ''}; "
-                f"what is in folders below is named by a pattern: '{pattern}', in quotes"
-            )
-    return told
+    @property
+    def not_looked_into(self) -> list[str]:
+        """Of each folder that stands for what is in it: the folders in it whose pictures do not count, in a sentence
+        that says how to name these."""
+        self.inputs  # noqa: B018  lists the folders that fit a pattern
+        told = []
+        for word, listed in self._listed.items():
+            pictures: dict[Path, Path] = {}
+            for folder in listed.below if listed.inputs else ():
+                with suppress(OSError, IndexError):  # one that may not be listed, or has none
+                    pictures[folder] = _inside(folder).inputs[0]
+            if pictures:
+                names = ", ".join(folder.name for folder in [*pictures][:MOST_NAMED])
+                more = len(pictures) - MOST_NAMED
+                pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
+                told.append(
+                    f"{word}: not looked into {names}{f' and {more} more' if more > 0 else ''}; "
+                    f"what is in folders below is named by a pattern: '{pattern}', in quotes"
+                )
+        return told
+
+    def _list(self, path: Path) -> _Listed:
+        if path not in self._listed:
+            self._listed[path] = _in_folder(path)
+        return self._listed[path]
 
 
 def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
@@ -156,16 +169,30 @@ def _is_pattern(word: Path) -> bool:
     return glob.has_magic(str(word)) and not os.path.lexists(word)
 
 
-def _in_folder(path: Path) -> list[Path]:
-    """The inputs in a folder that is none itself; empty where there are none, or `path` is an input or no folder."""
-    if not path.is_dir() or _is_model(path):
-        return []
-    return [
-        each
-        for each in sorted(path.iterdir())
-        if not each.name.startswith(".")
-        and (_is_model(each) if each.is_dir() else each.suffix.lower() in PICTURES and not _is_of_a_report(each))
-    ]
+@dataclass(frozen=True)
+class _Listed:
+    """inputs : the models and pictures in a folder. below : the folders in it that are no models. Both empty for what
+    is an input itself, or no folder."""
+
+    inputs: list[Path] = field(default_factory=list)
+    below: list[Path] = field(default_factory=list)
+
+
+def _in_folder(path: Path) -> _Listed:
+    return _inside(path) if path.is_dir() and not _is_model(path) else _Listed()
+
+
+def _inside(folder: Path) -> _Listed:
+    """What lies in a `folder` that is no model."""
+    listed = _Listed()
+    for each in sorted(folder.iterdir()):
+        if each.name.startswith("."):
+            continue
+        if each.is_dir():
+            (listed.inputs if _is_model(each) else listed.below).append(each)
+        elif each.suffix.lower() in PICTURES and not _is_of_a_report(each):
+            listed.inputs.append(each)
+    return listed
 
 
 def _is_of_a_report(path: Path) -> bool:

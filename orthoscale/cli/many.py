@@ -19,6 +19,7 @@ from ..formats.names import in_utf8, json_in_utf8
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
+    from ..actions.inputs import Named
     from ..report.summary import Row
     from ..requests import EstimateRequest
 
@@ -28,9 +29,9 @@ inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-
 
 @dataclass(frozen=True)
 class Many:
-    """What was asked of several inputs together: the words that name them, where summaries go, how many at once."""
+    """What was asked of several inputs together: what names them, where summaries go, how many at once."""
 
-    words: tuple[Path, ...]
+    named: Named
     summaries: tuple[Path, ...]
     jobs: int | None
 
@@ -50,13 +51,14 @@ def inputs(function: Callable) -> Callable:
     @option("--jobs", type=click.IntRange(min=1), group="Advanced", help="Number of inputs at once.  [default: 1]")
     @wraps(function)
     def decorated(paths: tuple[Path, ...], summary: tuple[Path, ...], jobs: int | None, **options: Any) -> Any:
-        from ..actions.inputs import is_many
+        from ..actions.inputs import Named
 
-        if not summary and not is_many(paths):
+        named = Named(paths)
+        if not summary and not named.many:
             if jobs is not None:
                 raise UsageError("--jobs does nothing here: there is one input", "Remove --jobs.")
             return function(path=paths[0], many=None, **options)
-        return function(path=None, many=Many(paths, summary, jobs), **options)
+        return function(path=None, many=Many(named, summary, jobs), **options)
 
     return decorated
 
@@ -140,13 +142,13 @@ def run(
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
     from ..actions.finished import is_finished
-    from ..actions.inputs import inputs_of, not_looked_into, outputs_of
+    from ..actions.inputs import outputs_of
     from ..actions.many import check_folder, run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
-    found = inputs_of(many.words)
-    for told in not_looked_into(many.words):
+    found = many.named.inputs
+    for told in many.named.not_looked_into:
         say(told, err=True)
     places = None if out is None else outputs_of(found, out)
     request.check_for_many()
