@@ -28,9 +28,10 @@ from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate.claimed import claimed_scales
 from orthoscale.locate.level import LevelledPhoto
 from orthoscale.photos import tables
+from orthoscale.photos.folders import find_photos
 from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import PhotoGeometry, find_photos, measure, open_photo
+from orthoscale.photos.measure import PhotoGeometry, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth
@@ -136,7 +137,24 @@ def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
         find_photos([tmp_path])
     write_photo(tmp_path / "a.jpg")
     (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")  # macOS leaves these on cards
-    assert list(find_photos([tmp_path])) == ["a.jpg"]
+    assert list(find_photos([tmp_path]).paths) == ["a.jpg"]
+
+
+def test_files_in_a_folder_that_are_not_looked_at_are_said(tmp_path):
+    """Of a flight by a phone, or with videos, a part was left out without a word."""
+    with_video = write_photo(tmp_path / "a.jpg")
+    for name in ("a.DNG", "a.mp4", "b.HEIC", "more/c.heic", "._d.heic", "notes.txt", "e.MOV", "f.nef", "g.webp"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = find_photos([tmp_path])
+    assert found.paths == {"a.jpg": with_video}
+    (told,) = found.notes
+    assert told.startswith(f"{tmp_path}: not looked at a.mp4, b.HEIC, e.MOV, f.nef, g.webp and 1 more. Give photos as")
+    assert "convert HEIC" in told and "frames of videos" in told
+    with_video.unlink()
+    with pytest.raises(InputError, match="no photo in this folder that is read, only a.DNG, a.mp4"):
+        find_photos([tmp_path])
+    assert find_photos([write_photo(tmp_path / "a.jpg")]).notes == (), "the folder was not named"
 
 
 @pytest.mark.parametrize("place", [(8.5, 47.25), (-58.4, -34.6), (-91.99, 46.84)])
@@ -580,10 +598,12 @@ def flight(tmp_path):
 
 def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     folder, rules = flight
+    (folder / "d.heic").touch()
     outputs = [tmp_path / f"out.{ending}" for ending in ("csv", "json", "gpkg")]
     done = run(folder, *rules, *(part for path in outputs for part in ("--out", path)), "--json")
     assert done.returncode == 0, done.stderr
     text = json.loads(done.stdout)
+    assert text["notes"][0].startswith(f"{folder}: not looked at d.heic. Give photos as JPEG")
     assert (text["photos"], text["measured"], text["used_ratio"]) == (3, 2, pytest.approx(2 / 3))
     assert json.loads(outputs[1].read_text()).items() >= text.items()
     first = text["rows"][0]

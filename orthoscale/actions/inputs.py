@@ -13,13 +13,12 @@ from functools import cache, cached_property
 from pathlib import Path
 
 from ..errors import InputError, UsageError
+from ..formats.names import first_few
 from ..formats.pictures import PICTURES
 from ..sources.exchange_files import find_exchange
 from ..system.signatures import ours
 from .finished import input_of, report_of
 from .workspace import models_in
-
-MOST_NAMED = 5  # folders, in a sentence
 
 
 class Named:
@@ -70,11 +69,9 @@ class Named:
                 with suppress(OSError, IndexError):  # one that may not be listed, or has none
                     pictures[folder] = _inside(folder).inputs[0]
             if pictures:
-                names = ", ".join(folder.name for folder in [*pictures][:MOST_NAMED])
-                more = len(pictures) - MOST_NAMED
                 pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
                 told.append(
-                    f"{word}: not looked into {names}{f' and {more} more' if more > 0 else ''}; "
+                    f"{word}: not looked into {first_few([folder.name for folder in pictures])}; "
                     f"what is in folders below is named by a pattern: '{pattern}', in quotes"
                 )
         return told

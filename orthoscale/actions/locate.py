@@ -18,8 +18,8 @@ from ..locate.features import Features, GradientFeatures
 from ..locate.files import write
 from ..locate.outcome import LocateOutcome, document
 from ..locate.register import Known, PlaceFinder, register
+from ..photos.folders import find_photos
 from ..photos.looking import WITH_GSD, Looking
-from ..photos.measure import find_photos
 from ..sources.satellite import Satellite
 
 LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
@@ -165,7 +165,8 @@ def locate(
     prior = request.prior_on(satellite)
     method, finder, notes = finder_for(request)
     features = features_for(method)
-    claims = claimed_scales(find_photos(paths), request.gsd, request.looking, progress, **request.lens)
+    photos = find_photos(paths)
+    claims = claimed_scales(photos.paths, request.gsd, request.looking, progress, **request.lens)
     of_scales = [note for each in claims.values() if isinstance(each, ClaimedScale) for note in each.notes]
     outcomes = []
     for number, (name, claimed) in enumerate(claims.items(), 1):
@@ -175,7 +176,7 @@ def locate(
         outcomes.append(searched(claimed, satellite, features, request, prior, finder))
         if progress:
             progress("Photos", number, len(claims))
-    return Located(outcomes, satellite, method, (*notes, *dict.fromkeys(of_scales)), request.top)
+    return Located(outcomes, satellite, method, (*notes, *photos.notes, *dict.fromkeys(of_scales)), request.top)
 
 
 def searched(

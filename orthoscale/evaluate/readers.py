@@ -20,7 +20,8 @@ import numpy as np
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
 from ..formats.reading import absent, files_below, read_table, read_text, refuse_repeated
-from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
+from ..photos.folders import IMAGE_SUFFIXES
+from ..photos.measure import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
 from .surface import Surface
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 ESCAPED = re.compile(r"\\u(dc[89a-f][0-9a-f])")  # what `in_utf8` makes of a byte that is not UTF-8 (PEP 383)
+MOST_NAMED = 5  # files or folders, in a sentence
 
 
 def in_utf8(text: str) -> str:
@@ -36,3 +37,9 @@ def json_in_utf8(values: Any, indent: int | None = None) -> str:
     are not UTF-8, which strict readers refuse."""
     text = json.dumps(values, indent=indent)
     return json.dumps(each_text(values, in_utf8), indent=indent) if r"\ud" in text else text
+
+
+def first_few(names: Sequence[object], most: int = MOST_NAMED) -> str:
+    """`names` in a sentence: the first `most` of them, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(map(str, names[:most])) + (f" and {more} more" if more > 0 else "")

@@ -26,6 +26,7 @@ PACKED = (
     "Clouds, meshes and splats show no vehicles. As PLY, LAS or GLB, `orthoscale apply` takes them to a model's scale."
 )
 VIDEO = "A video is not read: reconstruct its frames with COLMAP and give the model; or give an orthophoto of it."
+VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".mts", ".webm")
 DATABASE = "A database of COLMAP holds no model: give the folder that `colmap mapper` wrote, such as sparse/0."
 ARCHIVE = "Archives are not read: unpack it, and give the file or folder that was in it."
 CAMERAS = "It has no picture's size and no points: give the model that it was made from, or the orthophoto."
@@ -38,7 +39,7 @@ BY_ENDING = {
     ".mvs": OPENMVS,
     ".db": DATABASE,
     **dict.fromkeys((".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst", ".kmz"), ARCHIVE),
-    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".mts", ".webm"), VIDEO),
+    **dict.fromkeys(VIDEOS, VIDEO),
     **dict.fromkeys(
         (".las", ".laz", ".ply", ".obj", ".glb", ".gltf", ".stl", ".off", ".pcd", ".pts", ".splat"), GEOMETRY
     ),

@@ -33,10 +33,9 @@ from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
-from ..formats.reading import absent, files_below
 from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
-from ..sources.tags import READABLE_PHOTOS, Tags, read_tags
+from ..sources.tags import Tags, read_tags
 from ..sources.undistort import undistort
 
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
@@ -45,7 +44,6 @@ GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
 TURNED_PITCH = -85.0  # [deg] steeper than this, a photo that was turned looks down as it did
 RIGHT = np.array([1.0, 0.0, 0.0])  # the camera's own
 OUTLINE_ELEVATION = 10.0  # [deg] where a photo's corner sees the ground flatter, it ends nowhere in particular
-IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 
 
 @dataclass(frozen=True)
@@ -164,28 +162,6 @@ def _roll_beside_told_pitch(tags: Tags) -> float:
     if tags.roll is None or tags.turned or np.cos(np.radians(tags.roll)) <= 0:
         return 0.0
     return tags.roll
-
-
-def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
-    """Photos by name: files by their own, those of a folder (at any depth) by their path in it.
-
-    Raises InputError for a missing path, a folder without photos, or two photos of one name.
-    """
-    found: dict[str, Path] = {}
-    for path in paths:
-        if path.is_dir():
-            inside = [p for p in files_below(path, IMAGE_SUFFIXES) if not p.name.startswith(".")]  # ._ of macOS
-            if not inside:
-                raise InputError(f"{path}: no photo in this folder", READABLE_PHOTOS)
-            named = {p.relative_to(path).as_posix(): p for p in inside}
-        elif path.exists():
-            named = {path.name: path}
-        else:
-            raise absent(path, "Give photos, or a folder of them.")
-        for name, place in named.items():
-            if found.setdefault(name, place) != place:
-                raise InputError(f"{place} and {found[name]} have the same name", "Measure them one after the other.")
-    return found
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from ..errors import InputError, TooLittleEvidence, UsageError
 from ..option import number
 from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
+from .folders import find_photos
 from .looking import Looking, boxes_of
-from .measure import Measure, Photo, PhotoScale, find_photos, measure, open_photo
+from .measure import Measure, Photo, PhotoScale, measure, open_photo
 from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos ar
 @dataclass(frozen=True, repr=False)
 class Survey(Brief):
     """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
-    found : the boxes. photos : those that could be read. fleet : by which they were measured, and why by that one."""
+    found : the boxes. photos : those that could be read. fleet : by which they were measured. why : by that one, and
+    what was not looked at."""
 
     outcomes: list[PhotoOutcome]
     together: PhotoScale | None
@@ -101,7 +103,8 @@ def surveyed(
 
     keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
     """
-    photos, problems = open_photos(find_photos(paths), decode=how.detections is None, **lens)
+    given = find_photos(paths)
+    photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, progress)
@@ -117,9 +120,11 @@ def surveyed(
             f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
             if len(outcomes) > 1
             else f"{most.name}: {most.problem}",
-            "Give photos with more vehicles, or pool those of a level flight with --together.",
+            "\n".join(
+                ["Give photos with more vehicles, or pool those of a level flight with --together.", *given.notes]
+            ),
         )
-    return Survey(outcomes, pooled, found, photos, fleet, why)
+    return Survey(outcomes, pooled, found, photos, fleet, (*given.notes, *why))
 
 
 def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...system.paths import homes
+from ..names import first_few
 from ..reading import HUGE, files_below, read_bytes
 from .lengthless import has_lengths
 
@@ -105,7 +106,5 @@ def scale_dense(
         model(folder, out)
     notes = [f"{source}: {scaled} depth maps, clouds and meshes brought to metres as well"]
     if left:
-        more = len(left) - MOST_LEFT_NAMED
-        named = ", ".join(left[:MOST_LEFT_NAMED]) + (f" and {more} more" if more > 0 else "")
-        notes.append(f"left in {source}, because not in metres: {named}")
+        notes.append(f"left in {source}, because not in metres: {first_few(left, MOST_LEFT_NAMED)}")
     return notes
