@@ -183,6 +183,35 @@ def test_obj_with_its_materials(tmp_path):
         scale_path(source, tmp_path / "b.obj", 2)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_lines_of_an_obj_that_go_on_in_the_next(tmp_path, end):
+    """A backslash at the end says so. A vertex of two lines was refused as malformed, and of materials in two lines the
+    second was not copied."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    for name in ("a.mtl", "b.mtl", "tex.png"):
+        (tmp_path / "in" / name).write_text(f"map_Kd -s 1 1 1 \\{end}tex.png{end}")
+    lines = [
+        "# of C:\\scans\\",  # goes on in no other
+        "v 1 \\", "2 \\", " 3",
+        "mtllib a.mtl \\", "b.mtl",
+        "v 1 1 1 \\", "0.5 0.5 0.5",
+        "f 1 2 \\", "2",
+        "v 4 5 x",
+    ]  # fmt: skip
+    source = tmp_path / "in/a.obj"
+    source.write_bytes(end.join(lines[:-1]).encode())
+    notes = scale_path(source, tmp_path / "out/a.obj", 2)
+    head, *told = (tmp_path / "out/a.obj").read_bytes().decode().split("\n")
+    assert [line.rstrip("\r") for line in told] == [
+        lines[0], "v 2 4 6", *lines[4:6], "v 2 2 2 0.5 0.5 0.5", *lines[8:10],
+    ]  # fmt: skip
+    assert sorted(notes) == ["with a.mtl", "with b.mtl", "with tex.png"]
+    source.write_bytes(end.join(lines).encode())
+    with pytest.raises(InputError, match="line 11"):
+        scale_path(source, tmp_path / "out/b.obj", 2)
+
+
 def test_glb(tmp_path):
     source = glb(tmp_path / "a.glb", gltf())
     scale_path(source, tmp_path / "b.glb", 2.5)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import codecs
 import os
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ...errors import InputError
@@ -13,6 +15,7 @@ from .mark import MARK, mark, refuse_marked
 from .words import grown
 
 TEXTURES = ("map_", "bump", "norm", "disp", "decal", "refl")  # how lines of materials begin that name a picture
+GOES_ON = re.compile(rb"\\\r?\n")  # the end of a line that goes on in the next one
 
 
 def scale_obj(source: Path, target: Path, scale: float) -> Referred:
@@ -24,22 +27,23 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
     count = 0
     with source.open("rb") as file, target.open("wb") as out:
         out.write(f"# {mark(scale)}\n".encode())
-        for number, line in enumerate(file, 1):
+        for number, line in _statements(file):
             if line.startswith(b"# " + MARK.encode()):
                 refuse_marked(source)
             if number == 1:
                 line = line.removeprefix(codecs.BOM_UTF8)
-            words = line.split()
+            whole = GOES_ON.sub(b" ", line)
+            words = whole.split()
             if words[:1] == [b"v"]:
                 count += 1
                 try:
-                    if b"\r" in line.strip():
+                    if b"\r" in whole.strip():
                         raise ValueError("several lines, as old Macs end them")
                     line = b" ".join(grown(words, (1, 2, 3), scale)) + b"\n"
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{source}, line {number}: a vertex is malformed", EXPORT_ANEW) from error
             elif words[:1] == [b"mtllib"] and len(words) > 1:
-                materials += _libraries(source, os.fsdecode(line.split(maxsplit=1)[1]).strip())
+                materials += _libraries(source, os.fsdecode(whole.split(maxsplit=1)[1]).strip())
             out.write(line)
     if not count:
         raise InputError(f"{source}: no vertices (lines that start with v)", "Is this an OBJ file?")
@@ -49,6 +53,20 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
     return files
 
 
+def _statements(file: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Each statement of a file with the number of its first line: one line, or more where a backslash at the end says
+    that it goes on. A comment does not: it may end with a folder of Windows."""
+    begun: list[bytes] = []
+    number = 0
+    for number, line in enumerate(file, 1):
+        begun.append(line)
+        if not GOES_ON.search(line) or begun[0].lstrip().startswith(b"#"):
+            yield number + 1 - len(begun), b"".join(begun)
+            begun = []
+    if begun:
+        yield number + 1 - len(begun), b"".join(begun)
+
+
 def _libraries(source: Path, names: str) -> list[str]:
     """Names of materials' files: several in a line, or one with spaces in it."""
     return [names] if beside(source, names) else names.split()
@@ -56,7 +74,8 @@ def _libraries(source: Path, names: str) -> list[str]:
 
 def _textures(material: Path) -> list[str]:
     """Names of the pictures in a file of materials."""
-    text = os.fsdecode(read_bytes(material, "It is a list of materials."))  # names need not be UTF-8
+    whole = GOES_ON.sub(b" ", read_bytes(material, "It is a list of materials."))
+    text = os.fsdecode(whole)  # names need not be UTF-8
     return [_texture(material, line) for line in text.splitlines() if line.strip().lower().startswith(TEXTURES)]
 
 
