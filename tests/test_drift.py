@@ -63,6 +63,22 @@ def test_a_tilt_is_the_change_from_one_end_of_the_picture_to_the_other(along, ac
     assert drift(table, WIDTH, HEIGHT, GSD).tilt == pytest.approx(np.linalg.norm(steepest) * far, rel=0.05)
 
 
+@pytest.mark.parametrize("aspect", [0.5, 2.0])
+def test_a_drift_is_that_of_the_ground_where_pixels_are_not_square(aspect):
+    """Lots were stretched as the pixels are, and how far chance makes a trend of their differences was wrong."""
+    rng = np.random.default_rng(8)
+    square = measured(rng, 200, lambda x, y: 0.06 * x - 0.02 * y + 0.1 * y * y, clusters=20)
+    wide = np.array([aspect**0.5, aspect**-0.5])
+    oblong = square.copy()
+    oblong["x_unit"] /= wide[0]
+    oblong["y_unit"] /= wide[1]
+    one, other = drift(square, WIDTH, HEIGHT, GSD), drift(oblong, WIDTH / wide[0], HEIGHT / wide[1], GSD, aspect)
+    for value in ("tilt", "tilt_sd", "direction", "p_tilt", "bend", "p_bend"):
+        assert getattr(other, value) == pytest.approx(getattr(one, value), rel=1e-6), value
+    assert other.cell == pytest.approx(one.cell / wide), "pixels of the picture"
+    assert other.cells[:, :2] == pytest.approx(one.cells[:, :2] / wide)
+
+
 def test_a_bowl_is_found():
     result = drift(measured(np.random.default_rng(2), 900, lambda x, y: 0.3 * (x * x + y * y)), WIDTH, HEIGHT, GSD)
     assert result.p_bend < 1e-3 and "bent" in result.remark

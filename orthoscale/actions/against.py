@@ -17,6 +17,7 @@ from ..core.control import on_ground
 from ..core.evidence import BY_MAP, Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.progress import Progress
+from ..core.projection.planar import square_pixels
 from ..core.source import PosedSet, Source
 from ..errors import TooLittleEvidence
 from ..sources.on_map import OnMap
@@ -104,8 +105,8 @@ def _pictures(source: Source) -> Sequence[SeenPlan]:
     from ..locate.ground import SeenPlan
 
     if source.plan is not None:
-        wide = math.sqrt(source.plan.claimed.aspect)
-        return [SeenPlan(source.plan, np.array([wide, 1 / wide]), source.plan.claimed.mirrored)]
+        claimed = source.plan.claimed
+        return [SeenPlan(source.plan, square_pixels(claimed.aspect), claimed.mirrored)]
     posed: PosedSet | None = source.posed
     assert posed is not None, "it is one of the two"
     views = [view for view in posed.ground_pictures if view.frame is not None]

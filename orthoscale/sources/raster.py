@@ -18,6 +18,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from ..core.control import READING_SD
+from ..core.projection.planar import square_pixels
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
@@ -185,8 +186,7 @@ class RasterSource:
     @property
     def _square(self) -> np.ndarray:
         """(2,) width and height of a pixel in those of a square one of the same area."""
-        wide = math.sqrt(self.claimed.aspect)
-        return np.array([wide, 1 / wide])
+        return square_pixels(self.claimed.aspect)
 
     @property
     def metric_already(self) -> str:

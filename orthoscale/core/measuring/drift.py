@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..projection.planar import square_pixels
 from ..remarks import CAUTION, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
@@ -26,7 +27,7 @@ class Drift:
     cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], vehicles, relative deviation of the
         local scale, its one sigma, by which lots may stray included. cell : (2,) size of a cell [px].
     tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
-    direction : of that increase [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
+    direction : of that increase on the ground [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
     bend : relative range of what a curvature adds to that.
     p_tilt, p_bend : probability of a gradient, and of a curvature besides it, as large as found, if there were none.
     """
@@ -100,10 +101,11 @@ def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale
     return scale.remarked(*said)
 
 
-def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drift | None:
+def drift(vehicles: np.ndarray, width: float, height: float, gsd: float, aspect: float = 1.0) -> Drift | None:
     """The drift of the scale within a picture of `width` x `height` px, or None for fewer than 40 vehicles.
 
-    vehicles : the `vehicle_table` of the picture. gsd : [m/px].
+    vehicles : the `vehicle_table` of the picture. gsd : [m/px]. aspect : how many times as wide as high a pixel is on
+    the ground; places are compared as they lie there, in square pixels of the same area.
 
     A plane and a full quadratic are fitted to the means of cells, and judged by how the cells scatter about them
     (F-tests), vehicles of one lot not being independent (`surface`).
@@ -111,7 +113,8 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drif
     used = vehicles[vehicles["used"]]
     if len(used) < FEWEST:
         return None
-    place, extent = np.stack([used["x_unit"], used["y_unit"]], -1), np.array([width, height], float)
+    square = square_pixels(aspect)
+    place, extent = np.stack([used["x_unit"], used["y_unit"]], -1) * square, np.array([width, height]) * square
     cells = Cells.of(place, used["scale_deviation"], np.zeros(2), extent)
     covariance = cells.covariance(LOT_SIZE / gsd)
     about = cells.place - extent / 2
@@ -121,9 +124,10 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drif
     direction = float(np.arctan2(gradient[1], gradient[0]))
     along = np.array([np.cos(direction), np.sin(direction)])
     length = float(np.abs(along) @ extent / extent.max())
+    across, down = cells.size / square
     return Drift(
-        cells=np.column_stack([cells.centre, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
-        cell=cells.size,
+        cells=np.column_stack([cells.centre / square, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
+        cell=(float(across), float(down)),
         tilt=float(np.hypot(*gradient)) * length,
         tilt_sd=float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length,
         direction=direction,

@@ -111,4 +111,4 @@ class PlanGeometry:
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """The drift of the scale."""
         table = vehicle_table(vehicles, vehicles.size, scale, self.boxes, self.picture)
-        return Findings(drift=drift(table, *self.size, scale.value))
+        return Findings(drift=drift(table, *self.size, scale.value, self.aspect))

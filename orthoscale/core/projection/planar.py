@@ -28,3 +28,9 @@ def footprint(sides: np.ndarray, offset: np.ndarray, top: np.ndarray) -> np.ndar
     """
     near, far = np.abs(offset) - sides / 2, np.abs(offset) + sides / 2
     return far * (1 - top) - np.where(near > 0, near, near * (1 - top))
+
+
+def square_pixels(aspect: float) -> np.ndarray:
+    """(2,) width and height of a pixel that is `aspect` times as wide as high, in square pixels of the same area."""
+    wide = np.sqrt(aspect)
+    return np.array([wide, 1 / wide])
