@@ -122,9 +122,9 @@ def test_each_case_is_handled_and_said(tmp_path, boxes, profile, says):
         assert np.allclose(b.transform[:6], (w, 0, 0, 0, h, 0) if up else (w, 0, 0, 0, -h, h * H))
         assert (b.bounds.left, min(b.bounds.bottom, b.bounds.top)) == (0, 0), "origin at the lower left"
     report = result.to_dict()
-    for vehicle in () if up else report["vehicles"]:
+    for vehicle in report["vehicles"]:
         (x, y, *_), place = vehicle["boxes"][0]["xylwa_px"], vehicle["place_m"]
-        assert place == pytest.approx([x * w, (H - y) * h], abs=0.02), "where the copy shows it"
+        assert place == pytest.approx([x * w, (y if up else H - y) * h], abs=0.02), "where the copy shows it"
     assert pixel_size(report) == pytest.approx((w, h), rel=1e-9)
 
 

@@ -74,8 +74,6 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     plan, posed = plan_and_posed(ortho.source, model.source)
     places = posed.from_above(model.votes.place[model.scale.used])
     pixels = plan.from_above(ortho.votes.place[ortho.scale.used])
-    if plan.claimed.mirrored:
-        pixels = pixels * (1, -1)
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,

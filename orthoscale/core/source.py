@@ -128,7 +128,8 @@ class Source(Pictures, Protocol):
         ...
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places on a plan, x right and y up [source units], of places (N, D) in its own coordinates."""
+        """(N, 2) places on a plan, x right and y up [source units], of places (N, D) in its own coordinates: the ground
+        as it is seen from above, never mirrored."""
         ...
 
     def locate(self, point: str) -> Located:

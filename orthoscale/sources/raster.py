@@ -174,8 +174,10 @@ class RasterSource:
         return None
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]."""
-        return np.stack([place[:, 0], self.height - place[:, 1]], -1) * self._square
+        """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]. Of
+        a picture that shows the ground mirrored, that is the corner of its first row, as in a copy in local metres."""
+        up = place[:, 1] if self.claimed.mirrored else self.height - place[:, 1]
+        return np.stack([place[:, 0], up], -1) * self._square
 
     def locate(self, point: str) -> Located:
         """Where the pixel that ``X,Y`` means would be if pixels were square; an orthophoto has no ground beside itself.
