@@ -16,6 +16,7 @@ from support import in_process
 from support.photos import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.errors import UsageError
+from orthoscale.formats.degrees import turn_of
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.photos.crop import Satellite, plan_crops
 
@@ -78,6 +79,30 @@ def test_a_map_in_degrees_goes_on_beyond_the_180th_meridian(tmp_path):
         assert sky.lon_lat(np.array([column, 800.0]))[0] == pytest.approx([lon, LAT], abs=1e-7)
         assert len(plan_crops(sky, 0.08, (1000, 750), (lon, LAT)).windows) == 1
     assert "It goes from 179.992000, 59.992000 to 180.008000, 60.008000" in sky.extent_in_words()
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:3395", "EPSG:6933"])
+def test_a_map_in_mercator_goes_on_beyond_the_180th_meridian(tmp_path, crs):
+    """A place there was 40,000 km beside it: priors and crops were refused, outlines went around the Earth."""
+    sky = Satellite.open(satellite(tmp_path / "sat.tif", crs, 1.0, lon=180.0))
+    pixels = np.array([[300.0, 800.0], [1300.0, 700.0]])
+    west, east = sky.lon_lat(pixels)
+    assert west[0] > 179.9 and east[0] < -179.9
+    for place, pixel in ((west, pixels[0]), (east, pixels[1])):
+        assert sky.pixel_of(*place) == pytest.approx(pixel, abs=0.01)
+        assert len(plan_crops(sky, 0.08, (1000, 750), tuple(place)).windows) == 1
+    assert sky.in_crs(np.array([west, east])) == pytest.approx(sky.coordinates(pixels))
+
+
+def test_how_far_it_is_once_around_the_earth():
+    """In the unit of the map; 0 where coordinates end at a meridian, or it is no line of equal x."""
+    mercator = 2 * np.pi * 6_378_137
+    for crs, turn in {
+        "EPSG:4326": 360, "EPSG:4807": 400, "EPSG:3857": mercator, "EPSG:3832": mercator,
+        "+proj=eqc +units=us-ft": mercator * 3937 / 1200, "EPSG:32632": 0, "EPSG:3413": 0, "EPSG:8857": 0,
+        "EPSG:4978": 0, "nonsense": 0,
+    }.items():  # fmt: skip
+        assert turn_of(crs) == pytest.approx(turn, rel=1e-9), crs
 
 
 def test_squares_are_those_of_the_shorter_side(tmp_path):

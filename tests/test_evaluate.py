@@ -101,12 +101,13 @@ def test_ground_is_the_mean_of_the_lowest_tenth_within_100_m(folders):
 
 
 @pytest.mark.parametrize("lon", [179.9999, -179.9999])
-def test_ground_on_the_180th_meridian(tmp_path, lon):
+@pytest.mark.parametrize("crs, unit", [("EPSG:4326", 1.0), ("EPSG:3857", 20_037_508.342789 / 180)])
+def test_ground_on_the_180th_meridian(tmp_path, lon, crs, unit):
     """By a model in degrees: what is 100 m east of the place was 360 degrees west of it, and all of a row was near."""
     heights = np.full((400, 400), 10.0, np.float32)
     heights[:, :150] = 0.0  # far off
-    grid = Affine(5e-5, 0, 179.99, 0, -5e-5, 0.01)
-    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 400, 400, 1, "EPSG:4326", grid, "float32") as out:
+    grid = Affine(5e-5 * unit, 0, 179.99 * unit, 0, -5e-5 * unit, 0.01 * unit)
+    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 400, 400, 1, crs, grid, "float32") as out:
         out.write(heights, 1)
     with Surface.open(tmp_path / "dsm.tif") as surface:
         assert surface.ground(lon, 0.0) == pytest.approx(10.0)

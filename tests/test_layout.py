@@ -324,7 +324,7 @@ def test_north_is_true_where_pixels_are_turned_and_not_square(tmp_path, turned):
     assert [*(east - here), *(north - here)] == pytest.approx([10, 0, 0, 10], abs=0.02)
 
 
-@pytest.mark.parametrize("crs, step", [("EPSG:32660", 0.1), ("EPSG:4326", 0.1 / 78_845)])
+@pytest.mark.parametrize("crs, step", [("EPSG:32660", 0.1), ("EPSG:4326", 0.1 / 78_845), ("EPSG:3857", 0.14)])
 @pytest.mark.parametrize("cut", [False, True])
 def test_a_lot_on_the_180th_meridian(tmp_path, crs, step, cut):
     """Its ring jumps from 180 to -180 or, as RFC 7946 wants it, there are two; it went around the Earth, or was not in
@@ -341,6 +341,7 @@ def test_a_lot_on_the_180th_meridian(tmp_path, crs, step, cut):
         file.write_text(shapely.to_geojson(shapely.MultiPolygon(halves)))
     made = plan(path, file, ["basketball"])
     assert made.lot.area == pytest.approx(2 * 45**2, rel=0.02)
+    assert abs(open_ground(path).north) < 3, "the grid of UTM is turned by 2.1 degrees there"
     export.write(made, tmp_path)
     text = json.loads((tmp_path / "layout.geojson").read_text())
     east = np.array(text["features"][0]["geometry"]["coordinates"][0])[:, 0]

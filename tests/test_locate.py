@@ -292,6 +292,24 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     assert (camera.x - 500_000, 6_700_000 - camera.y) == pytest.approx(SHOTS[name].foot, abs=3.0)
 
 
+def test_a_photo_is_located_on_a_map_in_web_mercator_beyond_the_180th_meridian(flight, tmp_path, ground):
+    """At the equator, where its metres are true. A prior there was outside of the map, and of a photo on the meridian
+    the outline went around the Earth."""
+    shot = SHOTS["down.png"]
+    half = 20_037_508.342789
+    sky = satellite(tmp_path / "map.tif", ground[::2, ::2], 2 * GSD, "EPSG:3857", (half - shot.foot[0], 0.0))
+    lon, lat = sky.lon_lat(np.array(shot.foot) / (2 * GSD) + 40)[0]
+    assert lon < -179.9
+    words = ("--satellite", tmp_path / "map.tif", "--gsd", gsd_of(shot), "--focal-px", shot.focal)
+    done = run("locate", flight / "down.png", *words, "--prior", f"{lon},{lat},60", "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    (told,) = json.loads(done.stdout)["photos"]
+    assert found_at(sky, told) == pytest.approx(shot.foot, abs=3.0)
+    _, _, (outline,), _ = pyogrio.raw.read(tmp_path / "out/located.gpkg", layer="footprints")
+    west, _, east, _ = shapely.from_wkb(outline).bounds
+    assert half - 200 < west < half < east < half + 200
+
+
 def test_a_roll_of_180_degrees_turns_the_heading_of_a_photo_taken_straight_down(flight, sky, tmp_path):
     shot = SHOTS["down.png"]
     angles = {"Pitch": -90, "Roll": 180, "Yaw": 200}

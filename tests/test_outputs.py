@@ -453,14 +453,17 @@ def test_a_geocentric_system_claims_nothing(tmp_path):
     assert claimed.gsd_m is None and not claimed.usable and "Earth's centre" in claimed.why
 
 
-@pytest.mark.parametrize("crs", ["EPSG:32660", "EPSG:4326"])
+@pytest.mark.parametrize("crs", ["EPSG:32660", "EPSG:4326", "EPSG:3857"])
 def test_shapes_on_the_180th_meridian_do_not_go_around_the_earth(tmp_path, boxes, crs):
     """Those of UTM had corners at 179.99 and -179.99; boxes saved from degrees lay beyond 180 and were not found again
     where other programs wrote them within."""
     middle = 60 + 4 * (W - 120) / 9  # of a column of boxes [px]
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(180.0, 48.0)
     x, y = abs(x), y  # -180 is the same
-    step = (GSD * 0.9996, GSD * 0.9996) if crs == "EPSG:32660" else (GSD / 74_632, GSD / 111_190)
+    step = {
+        "EPSG:32660": (GSD * 0.9996, GSD * 0.9996), "EPSG:4326": (GSD / 74_632, GSD / 111_190),
+        "EPSG:3857": (GSD / math.cos(math.radians(48)), GSD / math.cos(math.radians(48))),
+    }[crs]  # fmt: skip
     path = picture(tmp_path / "a.tif", crs, Affine(step[0], 0, x - middle * step[0], 0, -step[1], y))
     fixed(path, tmp_path / "out.tif", boxes, also=["geojson"], keep_origin=True, save_detections=tmp_path / "b.geojson")
     for name in ("out.tif.geojson", "b.geojson"):

@@ -542,11 +542,13 @@ def test_world_file_alone(tmp_path):
     assert not claim.usable and "a.jgw" in claim.why
 
 
-def with_control_points(path: Path, corners=((0, 0), (0, W), (H, 0), (H, W)), west=10.0) -> Path:
+def with_control_points(path: Path, corners=((0, 0), (0, W), (H, 0), (H, W)), west=10.0, epsg=4326) -> Path:
     make(path)
-    points = [GroundControlPoint(r, c, (west + c * 1e-6 + 180) % 360 - 180, 50 - r * 1e-6, 0) for r, c in corners]
+    there = pyproj.Transformer.from_crs(4326, epsg, always_xy=True)
+    places = [there.transform((west + c * 1e-6 + 180) % 360 - 180, 50 - r * 1e-6) for r, c in corners]
     with rasterio.open(path, "r+") as d:
-        d.gcps = points, CRS.from_epsg(4326)
+        points = [GroundControlPoint(r, c, x, y, 0) for (r, c), (x, y) in zip(corners, places, strict=True)]
+        d.gcps = points, CRS.from_epsg(epsg)
     return path
 
 
@@ -662,8 +664,9 @@ def test_polynomials_and_too_few_control_points_are_named(tmp_path, build, says)
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("west", [10.0, 179.9999])  # of these some lie beyond the 180th meridian
-def test_control_points_give_a_scale(tmp_path, west):
-    claim = RasterSource.open(with_control_points(tmp_path / "a.tif", west=west)).claimed
+@pytest.mark.parametrize("epsg", [4326, 3857])
+def test_control_points_give_a_scale(tmp_path, west, epsg):
+    claim = RasterSource.open(with_control_points(tmp_path / "a.tif", west=west, epsg=epsg)).claimed
     assert claim.usable and "4 ground control points" in claim.why
     assert claim.gsd_m == pytest.approx(math.sqrt(0.0717 * 0.1112), rel=2e-3)  # a millionth of a degree at 50 N
 

@@ -11,7 +11,7 @@ from rasterio.windows import Window
 
 from ..core.affine import transformed
 from ..errors import InputError
-from ..formats.degrees import to_degrees, turned_to
+from ..formats.degrees import near_on_map, to_degrees
 from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
@@ -47,10 +47,9 @@ class Surface:
         east = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 90.0, RADIUS)
         to_pixel = ~self._dataset.transform
         longitude, latitude = np.array([(lon, lat), north[:2], east[:2]]).T
-        x, y = self._to_degrees.transform(longitude, latitude, direction="INVERSE")
-        if self._crs.is_geographic:
-            x = turned_to(x, (self._dataset.bounds.left + self._dataset.bounds.right) / 2)
-        (cx, cy), (nx, ny), (ex, ey) = transformed(np.column_stack([x, y]), to_pixel)
+        there = np.column_stack(self._to_degrees.transform(longitude, latitude, direction="INVERSE"))
+        middle = (self._dataset.bounds.left + self._dataset.bounds.right) / 2
+        (cx, cy), (nx, ny), (ex, ey) = transformed(near_on_map(there, self._crs, middle), to_pixel)
         if not np.isfinite([cx, cy, nx, ny, ex, ey]).all():
             return None
         axes = np.array([[ex - cx, nx - cx], [ey - cy, ny - cy]]) / RADIUS  # pixels per metre east and north

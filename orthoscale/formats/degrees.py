@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +12,7 @@ if TYPE_CHECKING:
     import pyproj
 
 WGS_84 = "EPSG:4326"  # longitude and latitude, as GPS and GeoJSON have them
+SAME_TURN = 1e-6  # of a turn: what rounding may change of places on one meridian
 
 
 def to_degrees(crs: Any) -> pyproj.Transformer:
@@ -20,10 +23,41 @@ def to_degrees(crs: Any) -> pyproj.Transformer:
     return pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(crs), WGS_84, always_xy=True)
 
 
-def turned_to(longitudes: np.ndarray, about: float) -> np.ndarray:
-    """(K,) `longitudes` [deg] by whole turns, each within 180 degrees of the longitude `about`; infinite ones stay."""
-    turns = np.round((longitudes - about) / 360)
-    return longitudes - 360 * np.where(np.isfinite(turns), turns, 0.0)
+@lru_cache
+def turn_of(crs: Any) -> float:
+    """By how much x grows once around the Earth in map coordinates in `crs`: 360 in degrees, 40,075,017 m in Web
+    Mercator; 0 where coordinates do not go on beyond a meridian, as in UTM."""
+    import pyproj
+
+    try:
+        system = pyproj.CRS.from_user_input(crs)
+        base = system.geodetic_crs
+        if base is None or not base.is_geographic:
+            return 0.0
+        quarter = math.pi / 2 / base.axis_info[0].unit_conversion_factor  # of a turn, in the unit of its degrees
+        east, north = np.meshgrid(np.arange(4) * quarter, np.array([0.0, 0.5]) * quarter)
+        x, y = pyproj.Transformer.from_crs(base, system, always_xy=True).transform(east, north)
+    except pyproj.exceptions.ProjError:
+        return 0.0
+    if not np.isfinite([*x, *y]).all():
+        return 0.0
+    turn = 4 * float(np.median(np.diff(x)))
+    # Meridians are straight, parallel and equally far apart where x tells the longitude alone.
+    off = turned_to(x - x[0, 0] - np.arange(4) / 4 * turn, 0.0, turn) if turn else x
+    return abs(turn) if max(np.abs(off).max(), np.ptp(y, axis=1).max()) < SAME_TURN * abs(turn) else 0.0
+
+
+def turned_to(longitudes: np.ndarray, about: float, turn: float = 360.0) -> np.ndarray:
+    """(K,) `longitudes` [deg] by whole turns, each within half a `turn` of that `about`; infinite ones stay."""
+    turns = np.round((longitudes - about) / turn)
+    return longitudes - turn * np.where(np.isfinite(turns), turns, 0.0)
+
+
+def near_on_map(places: np.ndarray, crs: Any, about: float) -> np.ndarray:
+    """(K, 2) map coordinates in `crs` of the same `places` (K, 2), x by whole turns around the Earth next to `about`:
+    pictures and maps may go on beyond the 180th meridian, where transformed coordinates jump."""
+    turn = turn_of(crs)
+    return np.column_stack([turned_to(places[:, 0], about, turn), places[:, 1]]) if turn else places
 
 
 def about_meridian(places: np.ndarray, about: float = 0.0) -> np.ndarray:

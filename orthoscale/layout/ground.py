@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
-from ..formats.degrees import WGS_84, about_meridian, to_degrees
+from ..formats.degrees import WGS_84, about_meridian, near_on_map, to_degrees
 from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
@@ -82,12 +82,16 @@ class MetricOrthophoto:
         """Of its middle [deg]; None of a picture without a place on Earth."""
         if not self.source.claimed.usable:
             return None
-        middle = self.to_crs(self.to_metres(np.array([[self.source.width / 2, self.source.height / 2]])))
         try:
             there = to_degrees(self.crs)
         except pyproj.exceptions.ProjError:  # of the Moon, say
             return None
-        return float(there.transform(*middle[0])[0])
+        return float(there.transform(*self.middle)[0])
+
+    @property
+    def middle(self) -> np.ndarray:
+        """(2,) coordinates of its middle, in the file's CRS."""
+        return transformed(np.array([[self.source.width / 2, self.source.height / 2]]), self.transform)[0]
 
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
         """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
@@ -124,11 +128,12 @@ def _north(source: RasterSource, transform: Affine, pixel: np.ndarray) -> tuple[
     if source.claimed.usable:
         there = to_degrees(source.claimed.crs)
         lon, lat = there.transform(x, y)
-        ahead = there.transform(lon, lat + 1e-4, direction="INVERSE")
+        ahead = np.array([there.transform(lon, lat + 1e-4, direction="INVERSE")])
+        ahead = near_on_map(ahead, source.claimed.crs, x)
     else:
-        ahead = x, y + 1
+        ahead = np.array([[x, y + 1]])
         notes = ("north is taken to be where the picture's own y axis points: nothing ties it to the ground",)
-    right, down = (transformed(np.array([ahead]), ~transform) - middle)[0] * pixel
+    right, down = (transformed(ahead, ~transform) - middle)[0] * pixel
     return math.degrees(math.atan2(right, -down)), notes
 
 
@@ -197,7 +202,10 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
         if ground.source.claimed.usable and own and not (own == WGS_84 and not _degrees(area)):
             try:
                 there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
-                area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))
+                about = ground.middle[0]
+                area = shapely.transform(
+                    area, lambda c: near_on_map(np.column_stack(there.transform(*c.T)), ground.crs, about)
+                )
             except pyproj.exceptions.ProjError as error:
                 raise InputError(f"{path}: its coordinates do not fit the picture's", AREA_HINT) from error
         elif ground.source.claimed.usable:

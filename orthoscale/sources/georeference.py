@@ -17,7 +17,7 @@ from rasterio.transform import Affine, from_gcps
 
 from ..core.affine import transformed
 from ..errors import InputError
-from ..formats.degrees import to_degrees, turned_to
+from ..formats.degrees import near_on_map, to_degrees
 from .gdal import open_dataset, read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
@@ -150,9 +150,9 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
         return Claim(None, False, f"only {len(points)} ground control points, without what ties them to the ground")
     if not np.isfinite([(p.col, p.row, p.x, p.y) for p in points]).all():
         return Claim(None, False, f"{len(points)} ground control points, not all of them finite numbers")
-    if crs.is_geographic:  # on the 180th meridian they go on beyond it
-        east = turned_to(np.array([p.x for p in points]), points[0].x)
-        points = [GroundControlPoint(p.row, p.col, x, p.y, p.z) for p, x in zip(points, east.tolist(), strict=True)]
+    # On the 180th meridian they go on beyond it.
+    east = near_on_map(np.array([(p.x, p.y) for p in points]), crs, points[0].x)[:, 0]
+    points = [GroundControlPoint(p.row, p.col, x, p.y, p.z) for p, x in zip(points, east.tolist(), strict=True)]
     # GDAL fits something through points on a line too, and what that is depends on rounding.
     flat = (_on_a_line([(p.col, p.row) for p in points]), _on_a_line([(p.x, p.y) for p in points]))
     try:

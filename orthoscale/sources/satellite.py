@@ -12,7 +12,7 @@ import pyproj
 
 from ..core.affine import transformed
 from ..errors import UsageError
-from ..formats.degrees import about_meridian, to_degrees, turned_to
+from ..formats.degrees import about_meridian, near_on_map, to_degrees, turned_to
 from .raster import RasterSource
 
 
@@ -51,13 +51,11 @@ class Satellite:
 
     def in_crs(self, lon_lat: np.ndarray) -> np.ndarray:
         """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none. A
-        picture in degrees may go on beyond 180, and they do as it does."""
+        picture may go on beyond the 180th meridian, and they do as it does."""
         longitude, latitude = np.asarray(lon_lat, float).reshape(-1, 2).T
-        x, y = self._to_degrees.transform(longitude, latitude, direction="INVERSE")
-        if self.crs.is_geographic:
-            middle = self.coordinates(np.array([self.source.width, self.source.height]) / 2)[0]
-            x = turned_to(x, middle[0])
-        return np.column_stack([x, y])
+        there = np.column_stack(self._to_degrees.transform(longitude, latitude, direction="INVERSE"))
+        middle = self.coordinates(np.array([self.source.width, self.source.height]) / 2)[0]
+        return near_on_map(there, self.crs, middle[0])
 
     def lon_lat(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to longitude and latitude [deg]."""

@@ -19,7 +19,7 @@ from ...core.affine import transformed
 from ...core.boxes import KINDS, Boxes
 from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
-from ..degrees import WGS_84, about_meridian
+from ..degrees import WGS_84, about_meridian, near_on_map
 from ..names import json_in_utf8
 from ..reading import EXPORT_ANEW, check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
@@ -63,8 +63,7 @@ class Georeference:
         cannot be transformed into the other; local metres are taken for the raster's own."""
         if crs is not None and not (_is_local(crs) and _is_local(self.crs)):
             points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
-            if _in_degrees(self.crs):  # rasters go on beyond 180 degrees
-                points = about_meridian(points, self.transform.c)
+            points = near_on_map(points, self.crs, self.transform.c)
         return transformed(points, ~self.transform)
 
 
@@ -81,13 +80,6 @@ def _is_local(crs: str) -> bool:
     from pyproj import CRS
 
     return CRS.from_user_input(crs).type_name == "Engineering CRS"
-
-
-@cache
-def _in_degrees(crs: str) -> bool:
-    from pyproj import CRS
-
-    return CRS.from_user_input(crs).is_geographic
 
 
 # GeoJSON
