@@ -15,7 +15,7 @@ import numpy as np
 import orthoscale
 from orthoscale.core.pooling import robust
 from orthoscale.core.projection.planar import ground_size
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.fleets import load_fleet
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -35,7 +35,7 @@ def main(folder: Path) -> None:
         if scene.path.is_file():  # an orthophoto
             boxes = next(iter(found.boxes.values()))
             pixel = np.full(len(boxes), 1 / found.zoom)
-            seen = gather(ground_size(boxes), pixel, boxes.centre, boxes.score, False, boxes.sigma)
+            seen = gather(Sightings(ground_size(boxes), pixel, boxes.centre, boxes.score, boxes.sigma), False)
             votes[scene] = seen, found.ruler
     for share in SHARES:
         robust.SHAPES_TOLD, robust.LIKELY = share, 0.0

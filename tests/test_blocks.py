@@ -17,7 +17,7 @@ from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
 
@@ -67,7 +67,7 @@ def test_vehicles_beyond_the_points_count():
 def way(size, place, noise):
     """What a way of measuring gives that sees vehicles of `size` (N, 2) with relative `noise`."""
     count = len(size)
-    votes = gather(size, np.full(count, 0.01), place, np.ones(count), repeated=True)
+    votes = gather(Sightings(size, np.full(count, 0.01), place, np.ones(count)), repeated=True)
     scale = replace(_scale(), used=np.ones(count, bool), reasons=[""] * count)
     pooled = Pooled(Ruler(margin_sd=(0.0, 0.0)), Systematic(np.full(2, 0.01)), np.full((count, 2), noise))
     return Measurement(None, np.array([]), votes, scale, {}, votes.size, "exact", pooled=pooled)

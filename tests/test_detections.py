@@ -9,7 +9,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
@@ -76,7 +76,7 @@ def test_boxes_shaped_like_no_vehicles_are_too_little_evidence_or_a_scale_but_no
     rows = np.array([[60 + 50.0 * (k % 10), 60 + 50.0 * (k // 10), 40, width, 0.1] for k in range(60)])
     boxes = Boxes(rows, np.ones(60))
     pixel = np.ones(60)
-    votes = gather(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, False, boxes.sigma)
+    votes = gather(Sightings(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, boxes.sigma), False)
     for ruler in (UNKNOWN_RULER, Ruler(margin=(-30.0, -0.2)), Ruler(margin=(30.0, 0.0))):
         try:
             scale = pool(votes, load_fleet("DE"), ruler, "m/px")

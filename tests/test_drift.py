@@ -18,7 +18,7 @@ from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import EvidenceDisagrees
 from orthoscale.fleets import load_fleet
 
@@ -31,7 +31,7 @@ def measured(rng, n, change=lambda x, y: 0.0, clusters=None):
     place = np.clip(place + (0 if clusters is None else rng.normal(0, 0.01, (n, 2))), 0, 0.999)
     local = GSD * (1 + np.array([change(*(p - 0.5)) for p in place]))
     size = np.exp(rng.multivariate_normal(np.log([4.4, 1.8]), [[0.006, 0.002], [0.002, 0.002]], n)) / local[:, None]
-    votes = gather(size, np.ones(n), place * (WIDTH, HEIGHT), np.ones(n), repeated=False)
+    votes = gather(Sightings(size, np.ones(n), place * (WIDTH, HEIGHT), np.ones(n)), repeated=False)
     return table(votes)
 
 
@@ -210,7 +210,7 @@ def test_boxes_that_are_all_alike_show_no_drift(capfd):
     """They scatter not at all, which is no reason to be infinitely sure."""
     place = np.random.default_rng(7).random((200, 2)) * (WIDTH, HEIGHT)
     size = np.tile([44.0, 18.0], (200, 1))
-    votes = gather(size, np.ones(200), place, np.ones(200), repeated=False)
+    votes = gather(Sightings(size, np.ones(200), place, np.ones(200)), repeated=False)
     result = drift(table(votes), WIDTH, HEIGHT, GSD)
     assert result.remark == "" and np.isfinite(result.tilt_sd)
     assert capfd.readouterr() == ("", "")

@@ -13,7 +13,7 @@ from orthoscale.core.measuring.surface import LOTS_SD
 from orthoscale.core.measuring.vehicles import VEHICLE
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.fleets import load_fleet
 from orthoscale.report.document import _model_drift
 from orthoscale.report.drift_map import regions_panel, side_by_side
@@ -34,7 +34,7 @@ def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12, bowl=0.0):
     for k, by in stray:
         wrong[k] = 1 + by
     size = true[vehicle] / wrong[frame, None] * np.exp(rng.normal(0, 0.03, (len(vehicle), 2)))
-    votes = gather(size, np.full(len(size), 0.004), place[vehicle], np.ones(len(size)), repeated=True)
+    votes = gather(Sightings(size, np.full(len(size), 0.004), place[vehicle], np.ones(len(size))), repeated=True)
     scale = pool(votes, load_fleet("DE"), Ruler(), "m/model-unit")
     return model_drift(size, np.array([f"{k:02d}.jpg" for k in frame]), votes, scale, votes.place), scale
 

@@ -22,7 +22,7 @@ from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, Remark
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.tables import standards
 from orthoscale.sources.colmap import ColmapSource
@@ -112,7 +112,7 @@ def test_rows_err_with_the_ground_on_which_their_vehicles_stand(shared):
     """As objects and anchors do: better known where vehicles tell it, worse where trees hide it."""
     stalls = np.array([[2.5 * k, 6.0 * row, 0.0] for row in range(3) for k in range(12)]) / UNIT
     size = np.full((len(stalls), 2), (4.5, 1.8)) / UNIT
-    votes = gather(size, np.full(len(stalls), 0.01), stalls, np.ones(len(stalls)), repeated=False)
+    votes = gather(Sightings(size, np.full(len(stalls), 0.01), stalls, np.ones(len(stalls))), repeated=False)
     along = np.tile([0.0, 1.0, 0.0], (len(stalls), 1))
     footing = Footing(stalls, np.zeros(len(stalls)), np.full(len(stalls), 0.02), shared)
     (vote,), (alone,) = (rows_in_model(votes, along, standards(), "DE", *more) for more in ((footing,), ()))

@@ -16,7 +16,7 @@ from orthoscale.core.pooling.problem import Mix
 from orthoscale.core.pooling.robust import pool, vote_noise
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.verdicts import CHECK_LIMIT
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
 
@@ -44,7 +44,7 @@ def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise
     )
     wrong = rng.random(n) < false
     px[wrong] = rng.uniform([8, 5], [45, 25], (int(wrong.sum()), 2))
-    return gather(np.maximum(px, 1.0), np.ones(n), rng.uniform(0, 1000, (n, 2)), np.ones(n), repeated=False)
+    return gather(Sightings(np.maximum(px, 1.0), np.ones(n), rng.uniform(0, 1000, (n, 2)), np.ones(n)), repeated=False)
 
 
 def test_a_clean_scene_gives_its_gsd():
@@ -98,7 +98,7 @@ def test_small_lorries_and_buses_are_no_vans_at_a_smaller_scale(code):
     fleet, rng = load_fleet(code), np.random.default_rng(5)
     here = np.vstack([fleet.sample(rng, 35)[:, :2], rng.normal([6.9, 2.3], [0.5, 0.1], (6, 2))])
     px = here / 0.12 + np.array(RULER.margin) + rng.normal(0, RULER.noise, here.shape)
-    votes = gather(px, np.ones(41), rng.uniform(0, 1000, (41, 2)), np.ones(41), repeated=False)
+    votes = gather(Sightings(px, np.ones(41), rng.uniform(0, 1000, (41, 2)), np.ones(41)), repeated=False)
     scale = pool(votes, fleet, RULER, "m/px")
     low, high = scale.interval90
     assert low < 0.12 < high and scale.value == pytest.approx(0.12, rel=0.05)
@@ -218,7 +218,7 @@ def drawn(votes, gsd, shrink, usual, margin=(1.0, 1.5)):
     """`votes` of a faithful detector as one has them that draws sizes to the usual."""
     vehicle = votes.size - np.array(margin)
     size = vehicle * (np.array(usual) / gsd / vehicle) ** np.array(shrink) + np.array(margin)
-    return gather(size, votes.pixel, votes.place, votes.score, repeated=False)
+    return gather(Sightings(size, votes.pixel, votes.place, votes.score), repeated=False)
 
 
 def test_sizes_drawn_to_the_usual_are_undone_by_what_the_card_says_and_found_where_classes_tell_them():
@@ -410,7 +410,7 @@ def test_a_vote_of_several_views_errs_as_their_median_does(views, sigma):
     size, many = (30 + noise).reshape(-1, 2), vehicles * views
     place = np.repeat(100.0 * np.arange(vehicles), views)[:, None] * [1.0, 0.0]
     told = None if sigma is None else np.full((many, 2), sigma)
-    votes = gather(size, np.ones(many), place, np.ones(many), True, told)
+    votes = gather(Sightings(size, np.ones(many), place, np.ones(many), told), True)
     claimed = vote_noise(votes, replace(RULER, noise=(1.5, 1.5)))
     assert np.std(votes.size) == pytest.approx(np.sqrt(np.mean(claimed**2)), rel=0.12)
 
@@ -453,7 +453,7 @@ def test_how_few_vehicles_scatter_counts_one_and_a_half_times():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         size = fleet.sample(rng, n)[:, :2] / gsd + rng.normal(0, noise, (n, 2))
-        votes = gather(size, np.ones(n), rng.uniform(0, 9000, (n, 2)), np.ones(n), repeated=False)
+        votes = gather(Sightings(size, np.ones(n), rng.uniform(0, 9000, (n, 2)), np.ones(n)), repeated=False)
         times.append((pool(votes, fleet, ruler, "").relative_sd ** 2 - known) / (best - known))
     assert 1.5 < np.median(times) < 1.8
 
@@ -473,7 +473,7 @@ def test_lengths_and_widths_count_as_generalised_least_squares_has_it(bias, poor
     expected /= expected.sum()
     rng = np.random.default_rng(0)
     size = fleet.sample(rng, n)[:, :2] / gsd + rng.normal(0, noise, (n, 2))
-    votes = gather(size, np.ones(n), rng.uniform(0, 9000, (n, 2)), np.ones(n), repeated=False)
+    votes = gather(Sightings(size, np.ones(n), rng.uniform(0, 9000, (n, 2)), np.ones(n)), repeated=False)
     scale, longer = (pool(v, fleet, ruler, "") for v in (votes, replace(votes, size=size * (1.02, 1.0))))
     assert scale.weights == pytest.approx(expected, abs=0.012)
     assert np.log(scale.value / longer.value) / np.log(1.02) == pytest.approx(expected[0], abs=0.012)
@@ -503,7 +503,7 @@ def test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths
 def test_boxes_without_a_common_scale_are_refused():
     rng = np.random.default_rng(6)
     size = np.exp(rng.uniform(0, 5, (9, 2)))
-    votes = gather(size, np.full(9, 1e-3), rng.uniform(0, 9, (9, 2)), np.ones(9), repeated=False)
+    votes = gather(Sightings(size, np.full(9, 1e-3), rng.uniform(0, 9, (9, 2)), np.ones(9)), repeated=False)
     with pytest.raises(TooLittleEvidence, match="9 boxes, but only|no boxes have the shape"):
         pool(votes, load_fleet("DE"), RULER, "m/px")
 
@@ -511,7 +511,7 @@ def test_boxes_without_a_common_scale_are_refused():
 def test_the_unit_of_the_source_cancels():
     fleet = load_fleet("US")
     votes = scene(np.random.default_rng(8), fleet, 80)
-    stretched = gather(votes.size * 40, votes.pixel * 40, votes.place, votes.score, repeated=False)
+    stretched = gather(Sightings(votes.size * 40, votes.pixel * 40, votes.place, votes.score), repeated=False)
     a, b = (pool(v, fleet, RULER, "m/px") for v in (votes, stretched))
     assert a.value == pytest.approx(40 * b.value, rel=1e-9)
     assert a.relative_sd == pytest.approx(b.relative_sd, rel=1e-9)
@@ -524,7 +524,7 @@ def test_what_only_one_frame_of_many_shows_does_not_count():
     ghosts = np.tile([20.0, 9.0], (60, 1))  # half a car's size, each in one frame only
     size = np.concatenate([cars[which], ghosts])
     place = np.concatenate([which[:, None] * [100.0, 0, 0], 5000 + np.arange(60)[:, None] * [100.0, 0, 0]])
-    votes = gather(size, np.ones(len(size)), place, np.ones(len(size)), repeated=True)
+    votes = gather(Sightings(size, np.ones(len(size)), place, np.ones(len(size))), repeated=True)
     scale = pool(votes, fleet, Ruler(), "m/model-unit")
     assert scale.vehicles_used == 20 and scale.rejected == {"seen in one frame only": 60}
     assert scale.value == pytest.approx(0.12, rel=0.05)
@@ -553,7 +553,7 @@ def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     first, second = (replace(load_fleet(code), candidates=(), prior=()) for code in ("DE", "JP"))
     size = first.sample(np.random.default_rng(0), 60)[:, :2] / 0.1
     pixel, place = np.ones(60), np.random.default_rng(1).uniform(0, 9000, (60, 2))
-    votes = gather(size, pixel, place, np.ones(60), repeated=False)
+    votes = gather(Sightings(size, pixel, place, np.ones(60)), repeated=False)
     ruler = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.01, 0.01), noise=(0.3, 0.3))
     several = replace(load_fleet("world"), candidates=(second, first), prior=(0.5, 0.5))
     alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")

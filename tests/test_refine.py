@@ -10,7 +10,7 @@ import orthoscale
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.errors import UsageError
@@ -112,7 +112,7 @@ def test_sigma_and_kinds_travel_with_the_boxes():
 def test_a_vehicle_is_of_the_kind_that_those_views_say_which_were_looked_at():
     kinds = np.array([[0.2, 0.8, 0, 0], [np.nan] * 4, [0.4, 0.6, 0, 0], [np.nan] * 4])
     place = np.array([[0.0, 0], [0, 0], [0, 0], [100, 0]])
-    votes = gather(np.full((4, 2), [45.0, 18.0]), np.ones(4), place, np.ones(4), True, None, kinds)
+    votes = gather(Sightings(np.full((4, 2), [45.0, 18.0]), np.ones(4), place, np.ones(4), None, kinds), True)
     assert votes.kinds[0] == pytest.approx([0.3, 0.7, 0, 0]) and np.isnan(votes.kinds[1]).all()
 
 
@@ -124,7 +124,7 @@ def test_steady_boxes_count_more_in_the_pooling():
     size = fleet.sample(rng, 80)[:, :2] / 0.1 * np.where(wrong, 1.15, 1.0)[:, None]
 
     def error(sigma):
-        votes = gather(size, np.ones(80), np.zeros((80, 2)), np.ones(80), False, sigma[:, None] * np.ones(2))
+        votes = gather(Sightings(size, np.ones(80), np.zeros((80, 2)), np.ones(80), sigma[:, None] * np.ones(2)), False)
         return abs(np.log(pool(votes, fleet, Ruler(noise=(5.0, 2.5)), "m/px").value / 0.1))
 
     unknown = error(np.full(80, np.nan))

@@ -12,7 +12,7 @@ from orthoscale.core.measuring.ways import united
 from orthoscale.core.pooling.robust import vote_noise
 from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, OwnRuler
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 
 CARD = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.25, 0.25), (0.3, 0.3))
 
@@ -38,7 +38,7 @@ def test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_
     place, ground = 10.0 * np.arange(10).reshape(5, 2), {"ground": np.array([0.05, 0.05])}
 
     def way(size, own, noise):
-        votes = gather(np.full((5, 2), size), np.ones(5), place, np.ones(5), repeated=False)
+        votes = gather(Sightings(np.full((5, 2), size), np.ones(5), place, np.ones(5)), repeated=False)
         votes = replace(votes, views=np.full(5, 3))
         pooled = Pooled(Ruler(), Systematic(np.full(2, own), ground), np.full((5, 2), noise))
         return SimpleNamespace(

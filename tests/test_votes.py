@@ -7,7 +7,7 @@ import pytest
 
 from orthoscale.core.pooling.robust import OF_THE_VEHICLE, vote_noise
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import gather
+from orthoscale.core.votes import Sightings, gather
 
 
 def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():
@@ -16,7 +16,7 @@ def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():
     which = np.repeat(np.arange(4), [12, 3, 1, 7])
     place = stalls[which] + rng.normal(0, 0.1, (len(which), 3))
     size = np.array([4.5, 1.8]) * np.exp(rng.normal(0, 0.03, (len(which), 2)))
-    votes = gather(size, np.full(len(which), 0.1), place, rng.uniform(0.5, 1, len(which)), repeated=True)
+    votes = gather(Sightings(size, np.full(len(which), 0.1), place, rng.uniform(0.5, 1, len(which))), repeated=True)
     assert sorted(votes.views.tolist()) == [1, 3, 7, 12]
     assert votes.size == pytest.approx(np.tile([4.5, 1.8], (4, 1)), rel=0.12)
     for members in votes.members:
@@ -24,25 +24,25 @@ def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():
 
 
 def test_one_picture_means_one_vote_per_box_however_close():
-    votes = gather(np.ones((3, 2)), np.ones(3), np.zeros((3, 2)), np.array([0.1, 0.2, 0.3]), repeated=False)
+    votes = gather(Sightings(np.ones((3, 2)), np.ones(3), np.zeros((3, 2)), np.array([0.1, 0.2, 0.3])), repeated=False)
     assert len(votes) == 3 and votes.views.tolist() == [1, 1, 1]
 
 
 def test_an_odd_view_does_not_move_the_vote():
     size = np.array([[4.5, 1.8]] * 4 + [[9.0, 4.0]])
-    votes = gather(size, np.ones(5), np.zeros((5, 3)), np.ones(5), repeated=True)
+    votes = gather(Sightings(size, np.ones(5), np.zeros((5, 3)), np.ones(5)), repeated=True)
     assert votes.size[0].tolist() == pytest.approx([4.5, 1.8])
 
 
 @pytest.mark.parametrize("repeated", [True, False])
 def test_no_boxes_no_votes(repeated):
-    assert len(gather(np.empty((0, 2)), np.empty(0), np.empty((0, 3)), np.empty(0), repeated)) == 0
+    assert len(gather(Sightings(np.empty((0, 2)), np.empty(0), np.empty((0, 3)), np.empty(0)), repeated)) == 0
 
 
 def test_a_single_view_is_a_mistake_where_many_frames_show_the_place():
     which = np.repeat(np.arange(4), [1, 1, 1, 3])
     place = 10.0 * which[:, None] * np.array([1.0, 0, 0])
-    votes = gather(np.full((6, 2), 2.0), np.ones(6), place, np.ones(6), repeated=True)
+    votes = gather(Sightings(np.full((6, 2), 2.0), np.ones(6), place, np.ones(6)), repeated=True)
     assert not votes.fleeting.any(), "vehicles here are usually seen three times"
     shown = np.array([1, 4, 5, 20])
     assert replace(votes, shown=shown).fleeting.tolist() == [False, False, True, False]
@@ -51,7 +51,9 @@ def test_a_single_view_is_a_mistake_where_many_frames_show_the_place():
 def test_views_of_one_vehicle_err_alike_in_part():
     for views in (1, 4, 400):
         sigma = np.full((views, 2), 0.04)
-        votes = gather(np.ones((views, 2)), np.ones(views), np.zeros((views, 3)), np.ones(views), True, sigma)
+        votes = gather(
+            Sightings(np.ones((views, 2)), np.ones(views), np.zeros((views, 3)), np.ones(views), sigma), True
+        )
         of_median = 1 if views == 1 else np.pi / 2 / views
         left = 0.04 * np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) * of_median)
         assert vote_noise(votes, Ruler())[0] == pytest.approx([left, left], rel=0.02)
@@ -64,18 +66,20 @@ def test_views_that_stray_are_of_one_vehicle_unless_a_frame_shows_both():
     score, pixel = np.ones(5), np.ones(5)
 
     def views(*frames):
-        seen = gather(size, pixel, place, score, True, picture=np.array(frames))
+        seen = gather(Sightings(size, pixel, place, score, picture=np.array(frames)), True)
         return sorted(map(sorted, (m.tolist() for m in seen.members)))
 
     assert views(*"abcab") == [[0, 1, 2], [3], [4]]
     assert views(*"abbab") == [[0, 1], [2], [3], [4]], "a frame shows both"
-    assert len(gather(size, pixel, place, score, True)) == 4, "where frames are not known"
+    assert len(gather(Sightings(size, pixel, place, score), True)) == 4, "where frames are not known"
 
 
 def test_of_three_groups_in_a_row_the_two_that_are_nearest_to_each_other_are_one_vehicle():
     """0.9 and 0.8 widths apart: the middle one is the nearest to both, but has one nearest itself."""
     place = 1.8 * np.array([[0.0, 0.0], [0.9, 0.0], [1.7, 0.0]])
-    seen = gather(np.tile([4.5, 1.8], (3, 1)), np.ones(3), place, np.ones(3), True, picture=np.array([*"abc"]))
+    seen = gather(
+        Sightings(np.tile([4.5, 1.8], (3, 1)), np.ones(3), place, np.ones(3), picture=np.array([*"abc"])), True
+    )
     assert sorted(m.tolist() for m in seen.members) == [[0], [1, 2]]
 
 
@@ -83,7 +87,7 @@ def test_a_vote_is_what_its_views_say_together():
     """Of sizes the middle in logarithms, of noises the root of the mean square, of scores the best."""
     size, sigma = np.array([[4.0, 1.6], [4.84, 2.5]]), np.array([[0.03, 0.04], [0.05, 0.08]])
     score, ground = np.array([0.6, 0.9]), np.array([0.01, 0.03])
-    vote = gather(size, np.array([0.1, 0.2]), np.zeros((2, 3)), score, True, sigma, ground=ground)
+    vote = gather(Sightings(size, np.array([0.1, 0.2]), np.zeros((2, 3)), score, sigma, ground=ground), True)
     assert vote.size == pytest.approx(np.array([[4.4, 2.0]])) and vote.score.tolist() == [0.9]
     assert vote.sigma == pytest.approx(np.sqrt([[0.0017, 0.004]]))
     assert (vote.pixel[0], vote.ground[0], vote.views[0]) == pytest.approx((0.15, 0.02, 2))
@@ -92,5 +96,7 @@ def test_a_vote_is_what_its_views_say_together():
 def test_how_often_vehicles_are_seen_is_that_of_most_boxes():
     """However many mistakes there are that one frame shows."""
     which = np.repeat(np.arange(6), [1, 1, 1, 1, 1, 8])
-    votes = gather(np.full((13, 2), 2.0), np.ones(13), 10.0 * which[:, None] * [1.0, 0, 0], np.ones(13), repeated=True)
+    votes = gather(
+        Sightings(np.full((13, 2), 2.0), np.ones(13), 10.0 * which[:, None] * [1.0, 0, 0], np.ones(13)), repeated=True
+    )
     assert votes.fleeting.tolist() == [True] * 5 + [False]

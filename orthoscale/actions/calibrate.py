@@ -19,7 +19,7 @@ from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
 from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Plan
-from ..core.votes import gather
+from ..core.votes import Sightings, gather
 from ..detect.detector import Detector
 from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
@@ -205,8 +205,8 @@ def _mean_size(size: np.ndarray, fleet: Fleet) -> np.ndarray:
 
 
 def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler) -> Scale:
-    votes = gather(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score, repeated=False)
-    return pool(votes, fleet, ruler, PER_PIXEL)
+    seen = Sightings(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score)
+    return pool(gather(seen, repeated=False), fleet, ruler, PER_PIXEL)
 
 
 def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:

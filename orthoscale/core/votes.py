@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -17,6 +17,31 @@ USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single 
 # (detect/weights/README.md). A parked vehicle that five frames show is then found in one of them alone in 0.6 % of the
 # cases; what is moving, in a few more.
 FOUND_IN = 0.8
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """M boxes as they lie on the ground: each is one sighting of a vehicle.
+
+    size : (M, 2), pixel : (M,), place : (M, D), score : (M,), sigma : (M, 2), kinds : (M, 4), ground : (M,) as those of
+    `Votes`, of a single box each. picture : (M,) name of the picture of each, None where they are not known.
+    """
+
+    size: np.ndarray
+    pixel: np.ndarray
+    place: np.ndarray
+    score: np.ndarray
+    sigma: np.ndarray | None = None
+    kinds: np.ndarray | None = None
+    ground: np.ndarray | None = None
+    picture: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    def __getitem__(self, index: np.ndarray) -> Sightings:
+        parts = {each.name: getattr(self, each.name) for each in fields(self)}
+        return replace(self, **{name: part[index] for name, part in parts.items() if part is not None})
 
 
 @dataclass(frozen=True)
@@ -66,29 +91,18 @@ class Votes:
         return (self.views == 1) & (usual >= USUAL_VIEWS)
 
 
-def gather(
-    size: np.ndarray,
-    pixel: np.ndarray,
-    place: np.ndarray,
-    score: np.ndarray,
-    repeated: bool,
-    sigma: np.ndarray | None = None,
-    kinds: np.ndarray | None = None,
-    ground: np.ndarray | None = None,
-    picture: np.ndarray | None = None,
-) -> Votes:
-    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), sigma (M, 2), kinds
-    (M, 4) and ground (M,), as in `Votes`.
+def gather(seen: Sightings, repeated: bool) -> Votes:
+    """One vote for each vehicle that is `seen`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
-    picture : (M,) name of the picture of each; where they are known, views that stray are joined (`LEAST_APART`).
+    Where these pictures are known, views that stray are joined (`LEAST_APART`).
     """
-    labels = np.arange(len(size))
-    if repeated and len(size):
-        width = float(np.median(size[:, 1]))
-        labels = same_place(place, SAME_PLACE * width)
-        if picture is not None:
-            labels = _joined(labels, place, picture, LEAST_APART * width)
+    labels = np.arange(len(seen))
+    if repeated and len(seen):
+        width = float(np.median(seen.size[:, 1]))
+        labels = same_place(seen.place, SAME_PLACE * width)
+        if seen.picture is not None:
+            labels = _joined(labels, seen.place, seen.picture, LEAST_APART * width)
     views, members = np.bincount(labels), _groups(labels)
     alone = views == 1
 
@@ -100,15 +114,15 @@ def gather(
         return out
 
     return Votes(
-        size=np.exp(over(np.log(size))),
-        pixel=over(pixel),
+        size=np.exp(over(np.log(seen.size))),
+        pixel=over(seen.pixel),
         views=views,
-        place=over(place),
-        score=over(score, np.max),
+        place=over(seen.place),
+        score=over(seen.score, np.max),
         members=members,
-        sigma=None if sigma is None else np.sqrt(over(sigma**2, np.mean)),
-        kinds=None if kinds is None else over(kinds, _mean_of_known),
-        ground=None if ground is None else over(ground),
+        sigma=None if seen.sigma is None else np.sqrt(over(seen.sigma**2, np.mean)),
+        kinds=None if seen.kinds is None else over(seen.kinds, _mean_of_known),
+        ground=None if seen.ground is None else over(seen.ground),
     )
 
 

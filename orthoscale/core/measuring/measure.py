@@ -13,7 +13,7 @@ from ..detections import UNCONFIRMED, Detections
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES, vote_noise
 from ..remarks import amount
-from ..votes import gather
+from ..votes import Sightings, gather
 from .geometry import Geometry
 from .measurement import Measurement, Pooled, tight
 from .method import Method
@@ -39,18 +39,11 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             raise TooLittleEvidence(
                 f"{amount(int(solved.sum()), 'boxes')} that a vehicle explains, {MIN_VEHICLES} are needed"
             )
-        own = boxes[solved]
-        votes = gather(
-            seen.size[solved],
-            geometry.pixel[solved],
-            geometry.place[solved],
-            own.score,
-            geometry.repeated,
-            own.sigma,
-            own.kinds,
-            None if seen.ground is None else seen.ground[solved],
-            geometry.picture[solved],
-        )
+        sightings = Sightings(
+            seen.size, geometry.pixel, geometry.place, boxes.score, boxes.sigma, boxes.kinds, seen.ground,
+            geometry.picture,
+        )  # fmt: skip
+        votes = gather(sightings[solved], geometry.repeated)
         votes = replace(votes, shown=geometry.shown(votes.place))
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
@@ -64,7 +57,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             break
         geometry = geometry.refined(seen, votes, scale)
     return Measurement(
-        boxes=own,
+        boxes=boxes[solved],
         picture=geometry.picture[solved],
         votes=votes,
         scale=scale,

@@ -15,7 +15,7 @@ from ..pooling.posterior import Posterior
 from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
-from ..votes import Votes, gather
+from ..votes import Sightings, Votes, gather
 from .footing import BY_POINTS, Footing
 from .objects import standard_objects
 from .parking import parking_pitch
@@ -152,7 +152,7 @@ def _objects(
     solved = np.isfinite(size).all(1)
     size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
     pixel = views.unit_per_pixel[solved] / zoom
-    votes = gather(size, pixel, place[solved], boxes.score[solved], repeated=True)
+    votes = gather(Sightings(size, pixel, place[solved], boxes.score[solved]), repeated=True)
     return standard_objects(kind, standards, votes.size, votes.pixel, votes.place)
 
 

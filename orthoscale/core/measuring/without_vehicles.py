@@ -12,7 +12,7 @@ from ..evidence import SUPPORTS, Combined, Evidence, combined
 from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, verdict
-from ..votes import gather
+from ..votes import Sightings, gather
 from .measurement import Measurement
 
 FEWEST_KINDS = 2  # that must agree: one kind alone may be a mistake, or another standard's
@@ -54,7 +54,7 @@ def measured_without_vehicles(
         support=together.support,
     )
     none = np.empty((0, 2))
-    votes = gather(none, np.empty(0), np.empty((0, dims)), np.empty(0), repeated=False)
+    votes = gather(Sightings(none, np.empty(0), np.empty((0, dims)), np.empty(0)), repeated=False)
     return Measurement(Boxes.empty(), np.empty(0, str), votes, scale, dict(lost), none, projection="none")
 
 
