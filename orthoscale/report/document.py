@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cache
@@ -22,16 +22,15 @@ from ..core.measuring.drift import Drift
 from ..core.measuring.judgement import judgements
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
-from ..core.remarks import CAUTION, INFO, Remark
+from ..core.remarks import CAUTION, INFO
 from ..core.scale import PER_PIXEL, Scale
-from ..core.source import Source
 from ..core.verdicts import FIT
-from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
 from ..formats.names import each_text, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
 from .anchors import entries
+from .measured import MeasuredSource
 
 FORMAT = "orthoscale report 2"
 # Remarks were bare sentences, `notes` those that are only informing; no judgements.
@@ -80,24 +79,14 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
 
 
-def document(
-    measured: Measurement,
-    source: Source,
-    found: Detections,
-    zoom_choice: ZoomChoice | None,
-    fleet: Fleet,
-    estimator: str,
-    settings: Mapping[str, Any],
-    seconds: float,
-    remarks: Sequence[Remark],
-    searched: FoundAnchors,
-) -> dict[str, Any]:
-    """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
+def document(of: MeasuredSource) -> dict[str, Any]:
+    """What was found, as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
     ``vehicles[].length`` and ``width`` are those of the vehicle, the detector's margin taken off; ``place_m`` is its
     place on a plan, x right and y up (see `Source.from_above`). ``remarks`` and ``judgements`` are those of the core,
     with their severity (`core.remarks`).
     """
+    measured, source, fleet, zoom_choice, remarks = of.measured, of.source, of.fleet, of.zoom_choice, of.remarks
     scale = measured.scale
     plan = source.from_above(measured.votes.place) * scale.value
     claim = own_claim(source, scale)
@@ -120,14 +109,14 @@ def document(
         "evidence": [
             {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
         ],
-        **_anchors(searched, scale),
-        "method": {"projection": measured.projection, "estimator": estimator},
+        **_anchors(of.anchors, scale),
+        "method": {"projection": measured.projection, "estimator": of.method.estimator},
         "fleet_sizes": _fleet_sizes(fleet),
         "uncertainty": dict(scale.parts),
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": [{"severity": remark.severity, "text": remark.text} for remark in remarks],
-        **_of_detection(found),
+        **_of_detection(of.detections),
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
         "zoom_search": None
@@ -140,12 +129,12 @@ def document(
             "sha256": source.content_hash(),
             "folder": _current_folder(),
         },
-        "settings": dict(settings),
+        "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
         "versions": _versions(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seconds": round(seconds, 2),
+        "seconds": round(of.seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }
 

@@ -2,50 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..core.boxes import Boxes
 from ..core.brief import Brief
-from ..core.detections import Detections
-from ..core.fleet import Fleet
-from ..core.measuring.anchors import FoundAnchors
-from ..core.measuring.measurement import Measurement
-from ..core.measuring.method import Method
-from ..core.remarks import REFUSAL, Remark, informing
+from ..core.remarks import REFUSAL
 from ..core.scale import Scale
-from ..core.source import Placement, Source
+from ..core.source import Placement
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..sources.on_map import OnMap
-
-if TYPE_CHECKING:
-    from ..detect.zoom import ZoomChoice
+from .measured import MeasuredSource
 
 FORCED = "write anyway with `orthoscale fix --force`."
 
 
 @dataclass(frozen=True, repr=False)
-class Result(Brief):
+class Result(MeasuredSource, Brief):
     """A measured source; what `fix` writes and every report shows.
 
     ``result.scale`` is the answer, ``result.vehicles`` a table of the vehicles (``pandas.DataFrame(result.vehicles)``),
     ``result.to_dict()`` the report as plain values.
     """
-
-    source: Source
-    fleet: Fleet
-    detections: Detections
-    zoom_choice: ZoomChoice | None
-    seconds: float
-    measured: Measurement = field(repr=False)
-    method: Method = field(default_factory=Method)
-    settings: dict[str, Any] = field(default_factory=dict)  # options as plain values, to do it again
-    anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
-    on_map: OnMap = field(default_factory=OnMap, repr=False)  # where the source lies on the map of --against
 
     @property
     def projection(self) -> str:
@@ -76,24 +57,7 @@ class Result(Brief):
         """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
         from .document import document
 
-        return document(
-            self.measured,
-            self.source,
-            self.detections,
-            self.zoom_choice,
-            self.fleet,
-            self.method.estimator,
-            self.settings,
-            self.seconds,
-            self.remarks,
-            self.anchors,
-        )
-
-    @property
-    def remarks(self) -> list[Remark]:
-        """What a reader should know beside the figures, each with its severity: what the core has to say, then what
-        was chosen, left aside or could not be done in opening the source and finding vehicles."""
-        return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
+        return document(self)
 
     def place(self, keep_origin: bool = False) -> Placement:
         """The georeferencing of an orthophoto's copy: by the map that it was found on, else local metres, or with

@@ -1,0 +1,45 @@
+"""A source that was measured: what was found in it, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.measuring.anchors import FoundAnchors
+from ..core.measuring.measurement import Measurement
+from ..core.measuring.method import Method
+from ..core.remarks import Remark, informing
+from ..core.source import Source
+from ..sources.on_map import OnMap
+
+if TYPE_CHECKING:
+    from ..detect.zoom import ZoomChoice
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredSource:
+    """All that a report tells of one source.
+
+    zoom_choice : of the search for the zoom, None where it was told. seconds : that it took. settings : options as
+    plain values, to do it again. anchors : those that were found. on_map : where the source lies on the map of
+    --against.
+    """
+
+    source: Source
+    fleet: Fleet
+    detections: Detections
+    zoom_choice: ZoomChoice | None
+    seconds: float
+    measured: Measurement = field(repr=False)
+    method: Method = field(default_factory=Method)
+    settings: dict[str, Any] = field(default_factory=dict)
+    anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
+    on_map: OnMap = field(default_factory=OnMap, repr=False)
+
+    @property
+    def remarks(self) -> list[Remark]:
+        """What a reader should know beside the figures, each with its severity: what the core has to say, then what
+        was chosen, left aside or could not be done in opening the source and finding vehicles."""
+        return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
