@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyproj
@@ -12,10 +14,12 @@ from support.models import make_model, save
 from support.photos import write_photo
 
 import orthoscale
+from orthoscale.core.claims import perhaps_metric
 from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
 from orthoscale.core.pooling.posterior import Z90, Posterior
+from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
@@ -247,6 +251,46 @@ def test_the_papers_estimator_takes_vehicles_only(flight):
     assert not found.scale.evidence
     with pytest.raises(UsageError, match="--no-gps does nothing here"):
         orthoscale.estimate(flight, gps=False, estimator="iqr")
+
+
+@pytest.mark.slow
+def test_a_model_that_looks_as_if_it_were_in_metres_is_said_to(tmp_path):
+    """One aligned with noisy positions is metric within a few per cent: `fix` rescaled it without a word. Nothing in
+    its frames tells of positions."""
+    import pycolmap
+
+    example = Path(__file__).parents[1] / "examples/sheffield"
+    model = pycolmap.Reconstruction(example / "sparse")
+    model.transform(pycolmap.Sim3d(14.2 / 1.04, pycolmap.Rotation3d(), np.zeros(3)))
+    (tmp_path / "enu").mkdir()
+    model.write(tmp_path / "enu")
+    options = {"detections": example / "detections.json", "fleet": "US", "report": "none"}
+    done = orthoscale.fix(tmp_path / "enu", tmp_path / "out", **options)
+    (said,) = [remark for remark in done.remarks if "looks as if it were in metres" in remark.text]
+    assert f"parking bays give {done.scale.value:.3f} m per unit" in said.text and said.severity == "info"
+    assert (tmp_path / "out" / "sim3.json").exists()
+
+
+@pytest.mark.parametrize(
+    "value, change, told",
+    [
+        (1.04, {}, "1.040 m per unit, 1.3 sigma from 1"),
+        (0.92, {}, "0.920 m per unit"),
+        (1.2, {}, ""),
+        (14.2, {}, ""),
+        (1.04, {"verdict": "unusable"}, ""),
+        (1.04, {"conflict": 4.0}, ""),
+    ],
+)
+def test_what_looks_metric(value, change, told):
+    ends = (value * np.exp(-Z90 * 0.03), value * np.exp(Z90 * 0.03))
+    parts = {"fleet": 0.03}
+    scale = Scale(value, "m/unit", ends, parts, {}, (0.5, 0.5), 0.0, "DE", "good", np.ones(9, bool), [""] * 9)
+    model = SimpleNamespace(posed=True, metric_already="")
+    said = [remark.text for remark in perhaps_metric(model, replace(scale, **change))]
+    assert told in said[0] if told else not said
+    for other in ({"posed": None}, {"metric_already": "orthoscale wrote it"}):
+        assert not perhaps_metric(SimpleNamespace(**vars(model) | other), scale)
 
 
 def test_a_model_in_a_maps_coordinates_is_metric_already(tmp_path):

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.anchors import Standard
 from ..core.calibration import Calibration
+from ..core.claims import perhaps_metric
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
@@ -198,7 +199,8 @@ def measured(
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
-    scale = measurement.scale
+    scale = measurement.scale.remarked(*perhaps_metric(source, measurement.scale))
+    measurement = replace(measurement, scale=scale)
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
     found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started

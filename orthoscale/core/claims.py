@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .pooling.posterior import Z90
+from .remarks import INFO, Remark
 from .scale import PER_PIXEL, Scale
 from .source import Source
 from .verdicts import UNUSABLE
@@ -15,6 +16,10 @@ NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would l
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 NO_UNIT = "has no unit"  # verdict on a claim that may be of metres, feet or anything: it is never held against an input
 METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
+# Relative: how near to a metre the unit of a model must be to be worth a word. Those that were aligned with single
+# receivers' positions are metric within some per cent. If arbitrary units are spread evenly over two decades, one model
+# in twenty-three has such a unit by chance. A judgement.
+NEARLY_METRIC = 0.1
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] that such a claim is compared with
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
 UNIT_MISTAKES = (
@@ -158,6 +163,23 @@ def metric_claim(source: Source, scale: Scale) -> Comparison | None:
         useful=scale.verdict != UNUSABLE,
         unit=scale.unit,
     )
+
+
+def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
+    """A note on a reconstruction that does not count as metric, but whose unit is nearly a metre; () of others.
+
+    It may have been aligned with positions that are not in its frames' tags, or so noisy that they say another scale.
+    """
+    value = scale.value
+    far = source.posed is None or abs(math.log(value / METRIC)) > NEARLY_METRIC
+    if far or scale.conflict or scale.verdict == UNUSABLE or source.metric_already:
+        return ()
+    sigmas = abs(math.log(value / METRIC)) / _sd_towards(METRIC, scale)
+    text = (
+        f"the model looks as if it were in metres already, aligned with GPS for instance: {_known_by(scale)} give "
+        f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a scaled copy is {value:.3f} times as large all the same"
+    )
+    return (Remark(INFO, text),)
 
 
 def metric_reason(metric_already: str) -> str:
