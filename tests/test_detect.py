@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from support.drawings import CARD, Drawing, RectangleDetector, car_park
+from support.drawings import CARD, Drawing, RectangleDetector, car_park, rendered_vehicles
 
 from orthoscale.actions.estimate import detector_of
 from orthoscale.core.boxes import Boxes, matched
@@ -191,7 +191,10 @@ def test_the_finder_takes_the_second_look(monkeypatch):
     assert both.sure == finder.card.sure and finder.card.name in both.name
     assert Detector(*both.settings[:3], 1, both.settings[3]).confirming.sha256 == finder.sha256
 
-    picture = Drawing(600, 500, car_park(40, 600, 500, 8, 3))
+    shown = np.full((500, 600, 3), 90, np.uint8)
+    shown[200:282, 300:402] = rendered_vehicles()
+    picture = Drawing(600, 500, Boxes.empty())
+    picture.read = lambda *_: shown
     (tile,) = tiles(picture, 1.0)
     image = read(picture, tile)
     coarse = cv2.resize(image, (424, 354), interpolation=cv2.INTER_AREA)

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.drawings import Drawing, RectangleDetector, car_park
+from support.drawings import RENDERED_VEHICLES, Drawing, RectangleDetector, car_park, rendered_vehicles
 
 import orthoscale
 from orthoscale.actions.estimate import estimate
@@ -197,9 +197,8 @@ def few_vehicles():
     height, width = 768, 1024
     image = np.full((height, width, 3), 90, np.uint8)
     image += np.random.default_rng(0).integers(0, 20, image.shape, np.uint8)
-    for x in (150, 190, 230):
-        cv2.rectangle(image, (x, 120), (x + 16, 158), (225, 225, 225), -1)
-        cv2.rectangle(image, (x + 2, 130), (x + 14, 138), (40, 40, 40), -1)
+    vehicles = rendered_vehicles()
+    image[100 : 100 + len(vehicles), 150 : 150 + vehicles.shape[1]] = vehicles
     picture = Drawing(width, height, Boxes.empty())
     picture.read = lambda *_: image
     return picture, Tile(0, 0, width, height, width, height)
@@ -216,7 +215,7 @@ def test_the_second_pass_looks_around_what_the_first_saw_and_sees_the_same(few_v
     assert np.prod(second) < 0.3 * np.prod({(768, 1024): (543, 724), (543, 724): (768, 1024)}[first])
     monkeypatch.setattr(Watched, "takes_parts", False)
     whole = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, look_twice(picture, tile, detector))])
-    assert len(whole.boxes["drawing"]) == 3
+    assert len(whole.boxes["drawing"]) == RENDERED_VEHICLES
     assert part.boxes["drawing"].xylwa == pytest.approx(whole.boxes["drawing"].xylwa, rel=0.01, abs=0.01)
 
 
@@ -246,7 +245,7 @@ def test_what_two_passes_show_must_be_seen_by_the_finder_too_where_nothing_else_
 
     seen = twice.coarse.mapped(724 / 1024)
     assert vehicles(lambda image: Boxes.empty()) == (0, len(twice.fine))
-    assert vehicles(lambda image: seen) == (3, len(twice.fine) - 3)
+    assert vehicles(lambda image: seen) == (RENDERED_VEHICLES, len(twice.fine) - RENDERED_VEHICLES)
     assert vehicles(lambda image: seen[[0]]) == (1, len(twice.fine) - 1)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of rectangles and a detector that finds them: known truth, no network."""
+"""Pictures of rectangles and a detector that finds them: known truth, no network. A few vehicles for the networks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import numpy as np
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.detector import Card, Passes
+from orthoscale.synthetic.render import ortho_view, render
+from orthoscale.synthetic.scene import make_scene
 
+RENDERED_VEHICLES = 4
 CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 
 
@@ -70,3 +73,11 @@ def car_park(length, width, height, count, seed=0):
         if len(rows) == count:
             break
     return Boxes(np.array(rows), np.ones(len(rows)))
+
+
+def rendered_vehicles() -> np.ndarray:
+    """RGB uint8 (82, 102, 3), RENDERED_VEHICLES side by side, 38 px long: what the shipped networks take for vehicles.
+    Drawn rectangles are none to them."""
+    scene = make_scene(3, None, 40, 8, "carpark")
+    pixels, _ = render(scene, ortho_view(scene, 4.45 / 38), 1)
+    return pixels[30:112, 220:322]
