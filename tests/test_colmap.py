@@ -350,6 +350,20 @@ def test_frames_and_database_beside_a_link(plain, tmp_path):
     assert len(ColmapSource.open(tmp_path / "work").pictures) == 12
 
 
+def test_a_way_up_leads_out_of_the_folder_behind_a_link(plain, tmp_path):
+    """``link/..`` is where the link leads, not where it lies."""
+    save(plain, tmp_path / "disk/project/sparse/0", "bin")
+    put_frames(plain, tmp_path / "disk/images")
+    (tmp_path / "disk/project/other").mkdir()
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here/link").symlink_to(tmp_path / "disk/project/other")
+    source = ColmapSource.open(tmp_path / "here/link/../sparse")
+    assert len(source.pictures) == 12 and source.content_hash()
+    (tmp_path / "metric").mkdir()
+    source.write(tmp_path / "metric", 2.0)
+    assert ColmapSource.open(tmp_path / "metric", need_images=False).scaled_already
+
+
 def renamed(plain, folder, form, change):
     """The model `plain` in `folder`, its images called `change` of their names."""
     model = pycolmap.Reconstruction(plain)

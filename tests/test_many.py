@@ -234,6 +234,19 @@ def test_where_names_repeat_across_folders_each_copy_names_its_folder(tmp_path):
         assert [path.name for path in found] == [names[path] for path in order]
 
 
+def test_a_way_up_behind_a_link_leads_to_the_same_file_in_every_process(parks, tmp_path, monkeypatch):
+    """``link/..`` is where the link leads: a file of that name beside the link is another one."""
+    (tmp_path / "disk/below").mkdir(parents=True)
+    shutil.copy(parks / "pictures/a.png", tmp_path / "disk/a.png")
+    (tmp_path / "link").symlink_to(tmp_path / "disk/below")
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    monkeypatch.chdir(tmp_path)
+    settings = EstimateRequest(fleet="DE", detections=parks / "boxes.json").settings()
+    row = many.one({"action": "estimate", "input": "link/../a.png", "out": None, "settings": settings, "alone": True})
+    assert row["exit_code"] == 0, row["error"]
+    assert outputs_of([Path("link/../a.png"), tmp_path / "a.png"], tmp_path / "out")[0].name == "disk_a.tif"
+
+
 def test_an_input_keeps_the_name_of_its_copy_and_gets_no_others(parks, tmp_path):
     """Whatever else is named the next time."""
     inputs = [tmp_path / place for place in ("1/a.png", "2/a.png", "1/a.bmp")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from ..formats.geometry.sim3 import Sim3
 from ..sources.cameras import MODELS, metric_cameras
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
-from ..system.paths import path_of, paths_of
+from ..system.paths import absolute, path_of, paths_of
 
 
 def apply(
@@ -27,7 +26,7 @@ def apply(
     """
     sim3, out = path_of(sim3, "the path of a sim3.json"), path_of(out, "the path of the output folder")
     given = paths_of(files, "the path of a file in the model's units")
-    names = [Path(os.path.abspath(path)).name for path in given]  # a link's own, as it is known by
+    names = [absolute(path).name for path in given]  # a link's own, as it is known by
     if twice := {name for name in names if names.count(name) > 1}:
         raise UsageError(f"two FILEs are called {min(twice)}", "Write them to different folders, one after the other.")
     written = {}

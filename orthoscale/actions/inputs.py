@@ -16,6 +16,7 @@ from ..errors import InputError, UsageError
 from ..formats.names import first_few
 from ..formats.pictures import PICTURES
 from ..sources.exchange_files import find_exchange
+from ..system.paths import absolute
 from ..system.signatures import ours
 from .finished import input_of, report_of
 from .workspace import models_in
@@ -94,7 +95,7 @@ def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     _check_folder(inputs, folder)
     owner = cache(lambda name: _owner(folder / name))
     real = [Path(os.path.realpath(path)) for path in inputs]
-    bare = [path.parent / path.stem.lower() for path in map(Path, map(os.path.abspath, inputs))]
+    bare = [path.parent / path.stem.lower() for path in map(absolute, inputs)]
     twins = {each for each, count in Counter(bare).items() if count > 1}
     folders = Counter(each.name for each in set(bare))  # in how many a name is
     names = [_names(path, each in twins)[folders[each.name] > 1 :] for path, each in zip(inputs, bare, strict=True)]
@@ -129,8 +130,8 @@ def _check_folder(inputs: Sequence[Path], folder: Path) -> None:
 
 def _names(path: Path, with_ending: bool) -> list[str]:
     """Names for the copy of the input at `path`, the shortest first; the last one is of no other input."""
-    whole = os.path.abspath(path)
-    *above, name = Path(whole).parts[1:]
+    whole = absolute(path)
+    *above, name = whole.parts[1:]
     end = ""
     if is_picture(path):
         picture = Path(name)

@@ -28,6 +28,7 @@ from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
 from ..system.budget import allow, memory
+from ..system.paths import absolute
 from ..system.threads import Threads
 from .check import checked
 from .estimate import measured
@@ -94,7 +95,7 @@ def jobs_of(
     """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
     if out is not None and places is None:
         places = outputs_of(inputs, out)
-    outs = [None] * len(inputs) if places is None else list(map(os.path.abspath, places))
+    outs = [None] * len(inputs) if places is None else [str(absolute(place)) for place in places]
     settings = request.without(("scheduler", "workers")).with_absolute_paths().settings()
     if request.detections is None and request.workers is not None:
         settings["workers"] = request.workers
@@ -114,7 +115,7 @@ def worst(rows: Sequence[Row]) -> int:
 def one(job: Job) -> Row:
     """Do one job, and say what became of it; raises nothing but what stops the process."""
     row: Row = {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": 0}
-    path = Path(os.path.abspath(job["input"]))
+    path = absolute(job["input"])
     try:
         try:
             _do(job, path, row)
@@ -272,7 +273,7 @@ def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
     from distributed import as_completed as as_done
 
     with cluster(address) as client:
-        elsewhere = [{**job, "input": os.path.abspath(job["input"])} for job in todo]
+        elsewhere = [{**job, "input": str(absolute(job["input"]))} for job in todo]
         futures = {client.submit(_one_within, memory(), job, pure=False): k for k, job in enumerate(elsewhere)}
         try:
             for future in as_done(futures, loop=client.loop):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ import click
 from ..errors import LONGEST_MESSAGE, OrthoscaleError, UsageError
 from ..errors import shown as printable
 from ..formats.names import in_utf8, json_in_utf8
+from ..system.paths import absolute
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def run(
             write_summary(rows, place, summary)
     if as_json:
         click.echo(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}))
-    _tell(rows, set() if overwrite else {os.path.abspath(place) for place in there})
+    _tell(rows, set() if overwrite else {str(absolute(place)) for place in there})
     sys.exit(worst(rows))
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from ..formats.reading import absent, files_below, read_table, read_text, refuse
 from ..photos.folders import IMAGE_SUFFIXES
 from ..photos.measure import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
+from ..system.paths import absolute
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
@@ -72,7 +72,7 @@ def _looks_like(path: Path) -> str:
 
 def _name_of(folder: Path) -> str:
     """Its own name, also where it is given as ``.`` or ``..``."""
-    return Path(os.path.abspath(folder)).name
+    return absolute(folder).name
 
 
 def _photos_in(folder: Path) -> list[Path]:

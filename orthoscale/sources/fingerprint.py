@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ..errors import InputError
 from ..formats.reading import check_regular
+from ..system.paths import absolute
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
@@ -33,7 +34,7 @@ class Stamp(NamedTuple):
         check_regular(path, "Was it moved meanwhile?")  # opening a pipe would wait for its other end
         with _reading(path), path.open("rb") as file:  # of an open file a network drive tells what is so now
             there = os.fstat(file.fileno())
-        return cls(os.path.abspath(path), there.st_ino, there.st_mtime_ns, there.st_size)
+        return cls(str(absolute(path)), there.st_ino, there.st_mtime_ns, there.st_size)
 
     def same(self, other: Stamp) -> bool:
         """Whether the content is the same, by size and time: network drives make up inodes."""

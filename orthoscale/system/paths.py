@@ -34,4 +34,14 @@ def paths_of(values: object, what: str) -> list[Path]:
 def homes(folder: Path) -> list[Path]:
     """Where `folder` lies, absolute: as it is named, and where that leads if there is a link in it. What belongs to it
     may lie beside either."""
-    return [Path(path) for path in dict.fromkeys((os.path.abspath(folder), os.path.realpath(folder)))]
+    return list(dict.fromkeys((absolute(folder), Path(os.path.realpath(folder)))))
+
+
+def absolute(path: str | Path) -> Path:
+    """`path` from the root on and without ``..``, leading to the same place; links keep their names, but for those that
+    a ``..`` follows: it leads out of the folder behind the link, and not out of the one that the link lies in."""
+    parts = Path(path).absolute().parts
+    if os.pardir not in parts:
+        return Path(*parts)
+    end = len(parts) - parts[::-1].index(os.pardir)
+    return Path(os.path.realpath(Path(*parts[:end])), *parts[end:])
