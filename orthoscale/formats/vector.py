@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .names import in_utf8
+from .plain_path import writable
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 
@@ -29,10 +30,10 @@ def write_layer(
     suffix = path.suffix.lower()
     columns = [_column([row[name] for row in rows]) for name in rows[0]]
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), writable(path) as place:
             warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres have none that travels
             pyogrio.raw.write(
-                path,
+                place,
                 geometry=np.array([None if s is None else shapely.to_wkb(s) for s in shapes], object),
                 field_data=[values for values, _ in columns],
                 field_mask=[mask for _, mask in columns],

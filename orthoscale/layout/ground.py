@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
 from ..formats.degrees import WGS_84, about_meridian, near_on_map, to_degrees
+from ..formats.plain_path import readable
 from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
@@ -167,7 +168,8 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
     if path.suffix.lower() in (".geojson", ".json"):
         read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets what is sound
     try:
-        meta, _, shapes, _ = pyogrio.raw.read(path)
+        with readable(path) as place:
+            meta, _, shapes, _ = pyogrio.raw.read(place)
         flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
         if longitude is not None and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
             flat = [shapely.transform(p, lambda c: about_meridian(c, longitude)) if _degrees(p) else p for p in flat]

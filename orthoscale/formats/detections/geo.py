@@ -21,6 +21,7 @@ from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
 from ..degrees import WGS_84, about_meridian, near_on_map
 from ..names import json_in_utf8
+from ..plain_path import readable, writable
 from ..reading import EXPORT_ANEW, check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
@@ -137,10 +138,11 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
 
     check_regular(path, "Give a detections file.")
     try:
-        names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
-        layer = LAYER if LAYER in names else names[0]
-        info = pyogrio.read_info(path, layer=layer)
-        meta, _, blobs, columns = pyogrio.raw.read(path, layer=layer)
+        with readable(path) as file:
+            names = [str(name) for name in pyogrio.list_layers(file)[:, 0]]
+            layer = LAYER if LAYER in names else names[0]
+            info = pyogrio.read_info(file, layer=layer)
+            meta, _, blobs, columns = pyogrio.raw.read(file, layer=layer)
         shapes = shapely.from_wkb(blobs)
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})", EXPORT_ANEW) from error
@@ -177,11 +179,11 @@ def write_geopackage(
         np.array([said.get(of, [None] * len(names)) for _, said in features], float).reshape(-1, len(names))
         for of, names in LISTS.items()
     ]
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), writable(path) as file:
         warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
         try:
             pyogrio.raw.write(
-                path,
+                file,
                 geometry=np.asarray(shapely.to_wkb(polygons), object),
                 field_data=[*columns, *np.concatenate(lists, axis=1).T],
                 fields=np.array([*fields, *chain(*LISTS.values())], object),
