@@ -94,6 +94,24 @@ def test_lenses_of_opensfm(made, tmp_path, kind, camera):
     assert np.allclose(source.project(name, world), np.column_stack([u, v]), atol=1e-6)
 
 
+@pytest.mark.parametrize("place", ["file", "frames"])
+def test_a_fisheye_of_instant_ngp_is_none_of_nerfstudios_perspective_lenses(made, tmp_path, place):
+    """colmap2nerf.py writes `is_fisheye` and no `camera_model`; its k1 to k4 are those of OpenCV's fisheye then."""
+    bend = {"k1": 0.02, "k2": -0.01, "k3": 0.003, "k4": -0.001}
+    named = open_source(nerfstudio(made[0], tmp_path / "a", camera_model="OPENCV_FISHEYE", **bend), need_images=False)
+    path = nerfstudio(made[0], tmp_path / "b", **bend)
+    text = json.loads(path.read_text())
+    text.pop("camera_model", None)
+    for part in [text] if place == "file" else text["frames"]:
+        part["is_fisheye"] = True
+    path.write_text(json.dumps(text))
+    source = open_source(path, need_images=False)
+    for name in source.picture_names:
+        assert np.allclose(
+            source.project(name, source.sparse[0]), named.project(name, source.sparse[0]), equal_nan=True
+        )
+
+
 def test_several_reconstructions_and_gps(made, tmp_path):
     path = opensfm(made[0], tmp_path)
     (part,) = json.loads(path.read_text())

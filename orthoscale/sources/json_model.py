@@ -242,7 +242,8 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
     poses = {}
     for frame in text["frames"]:
         own = {**text, **frame}
-        kind = own.get("camera_model", "OPENCV")
+        # instant-ngp, and its colmap2nerf.py, tell a fisheye by this alone; its lens is OpenCV's.
+        kind = own.get("camera_model", "OPENCV_FISHEYE" if own.get("is_fisheye") else "OPENCV")
         if kind not in NERFSTUDIO:
             raise _unknown_camera(f"{path}: cameras of the model {kind}", kind, NERFSTUDIO)
         width, height = int(own["w"]), int(own["h"])

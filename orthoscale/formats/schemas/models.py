@@ -64,6 +64,7 @@ class Intrinsics(Distortion, kw_only=True):
     k4: Bend = 0.0
     camera_angle_x: Annotated[float, Meta(gt=0, lt=3.1415)] | UnsetType = UNSET
     camera_model: Name | UnsetType = UNSET
+    is_fisheye: bool = False  # instant-ngp's
 
 
 class TransformsFrame(Intrinsics, kw_only=True):
