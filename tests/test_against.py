@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from support import in_process
 from support.aerial import other_date
 
 import orthoscale
-from orthoscale.actions.against import _pictures, on_map
+from orthoscale.actions.against import _found_on, _pictures, on_map
 from orthoscale.core.evidence import BY_MAP, Evidence
 from orthoscale.sources.on_map import OnMap
 from orthoscale.sources.opening import open_source
@@ -135,6 +136,12 @@ def test_place_and_direction_are_the_maps(pair, lies):
     got = np.array([place.transform @ tuple(p) for p in pixels])
     assert np.hypot(*(got - there).T).max() < 1.5
     assert pyproj.CRS.from_user_input(place.crs).to_epsg() == 32632
+
+
+@pytest.mark.parametrize(("heading", "told"), [(359.85, 0), (0.2, 0), (359.4, 359), (35.1, 35)])
+def test_a_direction_is_below_360_degrees(heading, told):
+    candidate = SimpleNamespace(middle=(8.5, 47.25), heading=np.radians(heading))
+    assert _found_on("map.tif", candidate).endswith(f"8.500000, 47.250000, its top to {told} degrees")
 
 
 @pytest.mark.slow

@@ -505,6 +505,15 @@ def test_the_prompt_names_sizes_and_places(tmp_path):
     assert "2 times a badminton court" in text and "southwest of the lot" in text and "northeast of the lot" in text
 
 
+def test_a_side_that_is_nearly_north_is_not_told_to_point_south(tmp_path):
+    """Bearings of sides are below 180 degrees, also when they are rounded."""
+    path = orthophoto(tmp_path)
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    layout = plan(path, lot, ["badminton@35,25,179.998"])
+    assert "long side 0 degrees from north" in prompt(layout)
+    assert document(layout)["facilities"][0]["bearing"] == 0
+
+
 @pytest.mark.parametrize(
     "ring, options, code, word",
     [

@@ -24,7 +24,7 @@ from ..sources.on_map import OnMap
 
 if TYPE_CHECKING:
     from ..locate.ground import SeenPlan
-    from ..locate.register import Registration
+    from ..locate.register import Candidate, Registration
     from ..sources.satellite import Satellite
 
 SCALES_AROUND = 4.0  # sigmas of the vehicles' scale within which the map's is searched ...
@@ -68,8 +68,7 @@ def on_map(
     metres = scale[0] * candidate.scale
     says = f"its place on {name} ({candidate.inliers} matches, {found.needed} needed)"
     evidence = Evidence(BY_MAP, metres, found.scale_sd, says)
-    lon, lat = candidate.middle
-    note = f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {np.degrees(candidate.heading):.0f} degrees"
+    note = _found_on(name, candidate)
     if source.plan is None:
         posed = source.posed
         assert posed is not None, "it is one of the two"
@@ -86,6 +85,13 @@ def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footi
     return on_ground(
         replace(found, value=found.value / (1 + lower)), np.ones(1), footing.covariance(middle), footing.shared
     )
+
+
+def _found_on(name: str, candidate: Candidate) -> str:
+    """That the input was found at the place of `candidate` on the map called `name`."""
+    lon, lat = candidate.middle
+    heading = round(math.degrees(candidate.heading)) % 360
+    return f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {heading} degrees"
 
 
 def _registered(

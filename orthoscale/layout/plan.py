@@ -130,7 +130,7 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
         "width": f.width,
         "full_length": f.full_length,
         "full_width": f.full_width,
-        "bearing": round(place.bearing, 2),
+        "bearing": round(place.bearing, 2) % 180,
         "turned_from_north": round(place.from_north, 2),
         "prefers_north_south": f.north_south,
         "east": round(place.centre[0], 3),
@@ -173,7 +173,7 @@ def _where(layout: Layout, place: PlacedFacility) -> str:
     across, up = (place.centre[0] - x0) / max(x1 - x0, 1e-9), (place.centre[1] - y0) / max(y1 - y0, 1e-9)
     names = [("south", "", "north")[min(int(3 * up), 2)], ("west", "", "east")[min(int(3 * across), 2)]]
     there = "".join(names) or "middle"
-    return f"{there} of the lot, long side {place.bearing:.0f} degrees from north"
+    return f"{there} of the lot, long side {round(place.bearing) % 180} degrees from north"
 
 
 def _round(value: float | None) -> float | None:
