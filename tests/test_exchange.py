@@ -563,9 +563,21 @@ def test_files_that_are_not_there(plain, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"without \.txt files"):
         load(tmp_path / "empty", plain)
-    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="not text"):
-        load(tmp_path / "binary.txt", plain)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("Citroën 1 2\n".encode("cp1252"), r"not UTF-8 text \(byte 5\).*save it as UTF-8"),
+        ("1 2\n".encode("utf-16"), "not UTF-8 text but UTF-16: save it as UTF-8"),
+    ],
+)
+def test_a_text_of_a_spreadsheet_in_another_encoding_is_to_be_saved_as_utf_8(plain, tmp_path, content, said):
+    """What was said, "not text", is wrong: it is one in an editor."""
+    for name in ("boxes.txt", "boxes.csv"):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            load(tmp_path / name, plain)
 
 
 def test_names_that_a_format_cannot_hold(tmp_path, plain):

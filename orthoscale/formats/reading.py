@@ -21,6 +21,7 @@ MIB = 1 << 20
 SMALL = 4 * MIB  # a file of settings: a fleet, a card, a lens
 LARGE = 256 * MIB  # a list of vehicles: two million boxes
 HUGE = 1024 * MIB  # a model with its points
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how a text in it begins
 LFS_POINTER = b"version https://git-lfs"  # how it begins
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
@@ -118,10 +119,13 @@ def is_there(path: Path) -> bool:
 
 def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
     """The UTF-8 text in `path`, with or without a byte order mark. Raises InputError."""
+    content = read_bytes(path, hint, most)
     try:
-        return read_bytes(path, hint, most).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not text (byte {error.start})", hint) from error
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:  # spreadsheets write the letters of their country, or UTF-16
+        at = f" (byte {error.start}); if it is one in another encoding, save it as UTF-8"
+        other = " but UTF-16: save it as UTF-8" if content[:2] in UTF_16 else at
+        raise InputError(f"{path}: not UTF-8 text{other}", hint) from error
 
 
 def read_table(path: Path, hint: str = "") -> csv.DictReader:
@@ -173,7 +177,7 @@ def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
         start = content[:3] if isinstance(content, bytes) else content[:1].encode("utf-8", "replace")
         if start == b"\xef\xbb\xbf":
             problem = "it begins with a byte order mark, which JSON may not have: save it as UTF-8 without"
-        elif start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        elif start[:2] in UTF_16:
             problem = "not UTF-8 text but UTF-16"
         else:
             problem = _in_words(str(error))
