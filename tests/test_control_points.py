@@ -7,7 +7,7 @@ import pytest
 from support.control import PLACES, marked, shows
 from support.flights import UNIT
 
-from orthoscale.actions.control import read_control
+from orthoscale.actions.control import DISTANCE_HINT, read_control
 from orthoscale.core.control import meeting_point, widest_angle
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.control_points import read_control_file
@@ -103,6 +103,18 @@ def test_lines_of_the_same_metres_are_one_point_in_the_plain_form_too(flight, tm
     found = read_control(path, source)
     assert found.value == pytest.approx(UNIT, rel=2e-5) and "4 of them where rays meet" in found.says
     assert len(lines) > 2 * len(read_control_file(path).points)
+
+
+@pytest.mark.parametrize("name", ["cam 1/a b.jpg", r"cam1\a.jpg"])
+def test_names_with_spaces_or_backslashes_stand_in_quotes_and_a_hint_says_so(tmp_path, name):
+    path = tmp_path / "gcp.txt"
+    path.write_text(f'"{name}@10,20" 1 2 3\n')
+    assert read_control_file(path).points[0].marks == (f"{name}@10,20",)
+    path.write_text("cam 1/a b.jpg@10,20 1 2 3\n")
+    with pytest.raises(InputError) as caught:
+        read_control_file(path)
+    assert "in double quotes where the name has spaces or backslashes" in caught.value.hint
+    assert "in double quotes where the name has spaces or backslashes" in DISTANCE_HINT
 
 
 def test_an_orthophoto_shows_no_project_of_pictures(flight, tmp_path):

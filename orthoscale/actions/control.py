@@ -32,7 +32,8 @@ from ..formats.reading import reason
 DISTANCE_HINT = (
     "Expected two points, the metres between them and, if known, their sigma: '120,80 560,80 23.77 0.05'. "
     "A point is X,Y (pixels of an orthophoto), X,Y,Z (a model's own coordinates), id:123 (a 3D point of the model) "
-    "or NAME@X,Y (a pixel on the ground in one of its frames)."
+    "or NAME@X,Y (a pixel on the ground in one of its frames), in double quotes where the name has spaces or "
+    "backslashes."
 )
 # Rays to one point that differ by less do not tell how far it is better than the ground does, which is known to 1 % of
 # the cameras' height: pixels are read to half of one, and poses are no better.

@@ -17,7 +17,8 @@ from .reading import read_text, reason
 CONTROL_HINT = (
     "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
     "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
-    "is not level). Lines from # on do not count. Or OpenDroneMap's gcp_list.txt."
+    "is not level), in double quotes where the name has spaces or backslashes. Lines from # on do not count. Or "
+    "OpenDroneMap's gcp_list.txt."
 )
 EARTH = "EPSG:4978"  # metres from the Earth's centre, along axes of no map
 UTM = re.compile(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
