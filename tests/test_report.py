@@ -36,6 +36,7 @@ from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
 from orthoscale.requests import EstimateRequest, FixRequest, command_line
 from orthoscale.sources.opening import open_source
+from orthoscale.system.paths import name_of
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +153,15 @@ def test_the_page_says_the_answer_first_with_the_digits_it_deserves(park, report
     (value,), unit = wording.quantity({**report, "scale": 15.02, "unit": "m/model-unit", "interval90": [13.9, 16.3]},
                                         15.02)  # fmt: skip
     assert (value, unit) == ("15.0", "m per model unit")
+
+
+@pytest.mark.parametrize(("given", "called"), [(".", "flight"), ("..", "site"), ("../other", "other")])
+def test_what_was_given_as_this_folder_is_called_by_its_name(report, tmp_path, given, called):
+    """``cd flight; orthoscale fix .`` gave a page of the "scale of ." and a picture without a name."""
+    (tmp_path / "site/flight").mkdir(parents=True)
+    there = {**report, "input": {**report["input"], "path": given, "folder": str(tmp_path / "site/flight")}}
+    assert re.search("<title>(.*)</title>", page(there, ReportPictures()))[1].endswith(f"scale of {called}")
+    assert name_of(given, tmp_path / "site/flight") == called
 
 
 def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):

@@ -22,7 +22,7 @@ from ..formats.reading import absent, files_below, read_table, read_text, refuse
 from ..photos.folders import IMAGE_SUFFIXES
 from ..photos.measure import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
-from ..system.paths import absolute
+from ..system.paths import name_of
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
@@ -70,11 +70,6 @@ def _looks_like(path: Path) -> str:
     return "visloc" if _regions(path) else "denseuav"
 
 
-def _name_of(folder: Path) -> str:
-    """Its own name, also where it is given as ``.`` or ``..``."""
-    return absolute(folder).name
-
-
 def _photos_in(folder: Path) -> list[Path]:
     return files_below(folder, IMAGE_SUFFIXES)
 
@@ -96,7 +91,7 @@ def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) 
             tags = read_tags(path)
             focal = DENSEUAV_FOCAL * math.hypot(tags.width, tags.height)
         photo = open_photo(path, name, lens_file=lens_file, focal_px=focal, pitch=-90.0)
-        samples.append(Sample(photo, float(told[-1]), _name_of(folder)))
+        samples.append(Sample(photo, float(told[-1]), name_of(folder)))
     notes = (
         [f"{len(nameless)} photos without an altitude in their name, the first is {nameless[0]}"] if nameless else []
     )
@@ -145,9 +140,9 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
                 photo = open_photo(path, name, lens_file=own_lens, focal_px=focal_px, pitch=-90.0)
                 up = up_from_survey(*np.radians([pitch, roll]))
                 photo = replace(photo, up=up, up_sd=float(GIMBAL_SD), attitude="of the reference pose")
-                samples.append(Sample(photo, height - ground, _name_of(region)))
+                samples.append(Sample(photo, height - ground, name_of(region)))
         for count, what in ((unposed, "without a pose"), (off_map, "without ground below them")):
-            notes += [f"region {_name_of(region)}: {count} photos {what}"] * (count > 0)
+            notes += [f"region {name_of(region)}: {count} photos {what}"] * (count > 0)
     return samples, notes
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from ..core.pooling.posterior import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
 from ..requests import command_line
+from ..system.paths import name_of
 from . import charts, places, wording
 from .document import completed
 from .explanation import explain
@@ -42,7 +42,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
     return template("page.html").render(
         report=report,
-        name=Path(report["input"]["path"]).name,
+        name=name_of(report["input"]["path"], report["input"]["folder"]),
         value=value,
         low=low,
         high=high,

@@ -20,6 +20,7 @@ from ..formats.csv_table import write_csv
 from ..formats.degrees import WGS_84
 from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
+from ..system.paths import name_of
 from ..system.signatures import has_header, ours
 from .page import template
 
@@ -118,7 +119,7 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
-    lines = [{**row, "name": Path(row["input"]).name, **_shown(row), "page": _page_of(row, place)} for row in rows]
+    lines = [{**row, "name": name_of(row["input"]), **_shown(row), "page": _page_of(row, place)} for row in rows]
     good = sum(row["exit_code"] == 0 for row in rows)
     text = template("summary.html").render(lines=lines, good=good, format=SUMMARY_FORMAT)
     path.write_bytes(text.encode("utf-8", "backslashreplace"))  # file names need not be text

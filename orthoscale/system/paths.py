@@ -37,6 +37,12 @@ def homes(folder: Path) -> list[Path]:
     return list(dict.fromkeys((absolute(folder), Path(os.path.realpath(folder)))))
 
 
+def name_of(path: str | Path, folder: str | Path = "") -> str:
+    """What the file or folder at `path`, from `folder` on, is called, also where it is given as ``.`` or ``..``."""
+    name = Path(path).name
+    return name if name not in ("", os.pardir) else absolute(Path(folder, path)).name or str(path)
+
+
 def absolute(path: str | Path) -> Path:
     """`path` from the root on and without ``..``, leading to the same place; links keep their names, but for those that
     a ``..`` follows: it leads out of the folder behind the link, and not out of the one that the link lies in."""
