@@ -188,6 +188,25 @@ def test_without_data_is_grey(tmp_path, build):
         assert (image[:, edge + 2 :] != NO_DATA_GREY).any(-1).mean() > 0.9
 
 
+@pytest.mark.parametrize("white", [255, 65535])
+def test_white_roofs_are_no_holes_where_white_is_the_value_for_no_data(tmp_path, white):
+    """The roofs of white cars were grey, and these were not found."""
+    pixels = np.minimum(scene().astype(np.uint16), 250) * (white // 255)
+    pixels[:, :, :100] = white
+    bordered = pixels.astype(np.uint8 if white == 255 else np.uint16)
+    source = RasterSource.open(make(tmp_path / "border.tif", bordered, nodata=white))
+    assert (source.read(0, 0, 90, H, 90, H) == NO_DATA_GREY).all()
+    roofs = [(x, y) for x in range(120, W - 20, 40) for y in range(10, H - 20, 30)]
+    for x, y in roofs:
+        bordered[:, y : y + 8, x : x + 16] = white
+    source = RasterSource.open(make(tmp_path / "roofs.tif", bordered, nodata=white))
+    assert any("is a colour of the picture too" in note.text for note in source.notes)
+    for size in (1, 2):
+        image = source.read(0, 0, W, H, W // size, H // size)
+        for x, y in roofs:
+            assert (image[(y + 2) // size : (y + 6) // size, (x + 2) // size : (x + 14) // size] >= 250).all()
+
+
 def test_sixteen_bits_are_stretched(tmp_path):
     pixels = (scene(3, "uint16", 4000) + 500).astype("uint16")
     source = RasterSource.open(make(tmp_path / "a.tif", pixels))

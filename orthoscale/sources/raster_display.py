@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from rasterio.enums import MaskFlags
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
@@ -19,6 +20,10 @@ from ..errors import InputError
 MOST_BETWEEN = 0.5
 """Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
 share of their edges, of a near infrared band nearly all."""
+
+MOST_SPOTS = 1e-3
+"""Share of a picture, in spots with picture all around them, that may have the value of no data. The roofs of a tenth
+of the cars of a car park are more; holes of a mosaic are larger than spots, or few."""
 
 SHOWN = (0.5, 99.5)
 """Percentiles of the values that become 0 and 255, where they are not of 8 bit."""
@@ -35,7 +40,7 @@ class Display:
     palette : (K, 3) uint8 colours of a paletted image, transparent ones grey; None for others.
     stretch : the values that become 0 and 255; None for plain 8 bit. All bands share them, which keeps the hues.
     negative : whether what is light is stored dark.
-    masks : whether an alpha band, if there is one, says where there is data.
+    masks : whether an alpha band or a value for no data, if there is one, says where there is data.
     notes : what the user should know of it.
     """
 
@@ -57,6 +62,7 @@ class Display:
         bands = _colour_bands(path, dataset)
         palette = _palette(dataset)
         masks = _alpha_masks(dataset, bands, in_order, damage, notes)
+        masks = masks and _nodata_masks(dataset, bands, in_order, damage, notes)
         stretch = None if palette is not None else _stretch(dataset, bands, damage, notes)
         negative = palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
         return cls(bands, palette, stretch, negative, masks, notes)
@@ -146,6 +152,33 @@ def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damag
     notes.append(
         Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
     )
+    return False
+
+
+def _nodata_masks(
+    dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]
+) -> bool:
+    """Whether a value for no data, if there is one, says where there is data: it is none of the picture's own colours.
+
+    Exports of white borders call 255 no data. So are blown-out roofs of white cars then, and these would be grey holes.
+    """
+    by_value = all(dataset.mask_flag_enums[band - 1] == [MaskFlags.nodata] for band in bands)
+    if not by_value or in_order or np.result_type(*(dataset.dtypes[band - 1] for band in bands)).kind == "f":
+        return True
+    spots, seen = 0, 0
+    for window in _samples(dataset):
+        with damage(f"near x {window.col_off}, y {window.row_off}"):
+            nothing = dataset.dataset_mask(window=window) == 0
+        left, top, width, height, area = cv2.connectedComponentsWithStats(nothing.astype(np.uint8))[2][1:].T
+        inside = (left > 0) & (top > 0) & (left + width < nothing.shape[1]) & (top + height < nothing.shape[0])
+        spots += int(area[inside].sum())
+        seen += nothing.size - int(area[~inside].sum())
+    if spots <= MOST_SPOTS * seen:
+        return True
+    text = (
+        f"the value for no data ({dataset.nodata:g}) is a colour of the picture too, as of white roofs: shown as it is"
+    )
+    notes.append(Remark(INFO, text))
     return False
 
 
