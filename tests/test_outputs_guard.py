@@ -299,8 +299,9 @@ def test_only_a_folder_that_orthoscale_filled_is_replaced(tmp_path, make):
     before = state(tmp_path)
     for write in (write_folder, write_file):
         for overwrite in (False, True):
-            with pytest.raises(UsageError):
+            with pytest.raises(UsageError) as caught:
                 write(path, overwrite=overwrite)
+            assert "--overwrite" not in caught.value.hint, "it would be refused as well"
     assert state(tmp_path) == before
 
 

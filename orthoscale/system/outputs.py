@@ -23,6 +23,7 @@ from .signatures import why_not_ours
 from .untouched import existing, inside, refuse_input
 
 ELSEWHERE = "Choose another place, or delete it yourself."
+REPLACE = "Choose another place, or pass --overwrite to replace it."  # only of what orthoscale wrote
 DISK = (OSError, sqlite3.Error)  # what a disk that is full, gone or read-only raises
 
 
@@ -154,9 +155,10 @@ class Outputs:
         with writing(path):
             there = identity(path)
         if there is not None:
+            why = why_not_ours(path, mine)
             if not self.overwrite:
-                raise UsageError(f"{path} already exists", "Choose another place, or pass --overwrite to replace it.")
-            if why := why_not_ours(path, mine):
+                raise UsageError(f"{path} already exists", ELSEWHERE if why else REPLACE)
+            if why:
                 raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
         return there
 
