@@ -23,28 +23,42 @@ def to_degrees(crs: Any) -> pyproj.Transformer:
     return pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(crs), WGS_84, always_xy=True)
 
 
-@lru_cache
 def turn_of(crs: Any) -> float:
     """By how much x grows once around the Earth in map coordinates in `crs`: 360 in degrees, 40,075,017 m in Web
-    Mercator; 0 where coordinates do not go on beyond a meridian, as in UTM."""
+    Mercator; 0 where coordinates do not go on beyond a meridian, as in UTM, or PROJ knows of no way to degrees."""
     import pyproj
 
     try:
-        system = pyproj.CRS.from_user_input(crs)
-        base = system.geodetic_crs
-        if base is None or not base.is_geographic:
-            return 0.0
-        quarter = math.pi / 2 / base.axis_info[0].unit_conversion_factor  # of a turn, in the unit of its degrees
-        east, north = np.meshgrid(np.arange(4) * quarter, np.array([0.0, 0.5]) * quarter)
-        x, y = pyproj.Transformer.from_crs(base, system, always_xy=True).transform(east, north)
-    except pyproj.exceptions.ProjError:
+        return _turn_of(crs)
+    except (pyproj.exceptions.ProjError, _NoTurn):
         return 0.0
+
+
+class _NoTurn(Exception):
+    """Coordinates do not go on beyond a meridian."""
+
+
+@lru_cache
+def _turn_of(crs: Any) -> float:
+    """Raises pyproj's errors and _NoTurn, so that only success is remembered: PROJ may fail for a moment, where a
+    process has no file handle left for its database, say."""
+    import pyproj
+
+    system = pyproj.CRS.from_user_input(crs)
+    base = system.geodetic_crs
+    if base is None or not base.is_geographic:
+        raise _NoTurn
+    quarter = math.pi / 2 / base.axis_info[0].unit_conversion_factor  # of a turn, in the unit of its degrees
+    east, north = np.meshgrid(np.arange(4) * quarter, np.array([0.0, 0.5]) * quarter)
+    x, y = pyproj.Transformer.from_crs(base, system, always_xy=True).transform(east, north)
     if not np.isfinite([*x, *y]).all():
-        return 0.0
+        raise _NoTurn
     turn = 4 * float(np.median(np.diff(x)))
     # Meridians are straight, parallel and equally far apart where x tells the longitude alone.
     off = turned_to(x - x[0, 0] - np.arange(4) / 4 * turn, 0.0, turn) if turn else x
-    return abs(turn) if max(np.abs(off).max(), np.ptp(y, axis=1).max()) < SAME_TURN * abs(turn) else 0.0
+    if max(np.abs(off).max(), np.ptp(y, axis=1).max()) >= SAME_TURN * abs(turn):
+        raise _NoTurn
+    return abs(turn)
 
 
 def turned_to(longitudes: np.ndarray, about: float, turn: float = 360.0) -> np.ndarray:
