@@ -30,35 +30,29 @@ def turn_of(crs: Any) -> float:
 
     try:
         return _turn_of(crs)
-    except (pyproj.exceptions.ProjError, _NoTurn):
+    except pyproj.exceptions.ProjError:
         return 0.0
-
-
-class _NoTurn(Exception):
-    """Coordinates do not go on beyond a meridian."""
 
 
 @lru_cache
 def _turn_of(crs: Any) -> float:
-    """Raises pyproj's errors and _NoTurn, so that only success is remembered: PROJ may fail for a moment, where a
-    process has no file handle left for its database, say."""
+    """Raises pyproj's errors, so that they are not remembered: PROJ may fail for a moment, where a process has no file
+    handle left for its database, say."""
     import pyproj
 
     system = pyproj.CRS.from_user_input(crs)
     base = system.geodetic_crs
     if base is None or not base.is_geographic:
-        raise _NoTurn
+        return 0.0
     quarter = math.pi / 2 / base.axis_info[0].unit_conversion_factor  # of a turn, in the unit of its degrees
     east, north = np.meshgrid(np.arange(4) * quarter, np.array([0.0, 0.5]) * quarter)
     x, y = pyproj.Transformer.from_crs(base, system, always_xy=True).transform(east, north)
     if not np.isfinite([*x, *y]).all():
-        raise _NoTurn
+        return 0.0
     turn = 4 * float(np.median(np.diff(x)))
     # Meridians are straight, parallel and equally far apart where x tells the longitude alone.
     off = turned_to(x - x[0, 0] - np.arange(4) / 4 * turn, 0.0, turn) if turn else x
-    if max(np.abs(off).max(), np.ptp(y, axis=1).max()) >= SAME_TURN * abs(turn):
-        raise _NoTurn
-    return abs(turn)
+    return abs(turn) if max(np.abs(off).max(), np.ptp(y, axis=1).max()) < SAME_TURN * abs(turn) else 0.0
 
 
 def turned_to(longitudes: np.ndarray, about: float, turn: float = 360.0) -> np.ndarray:
