@@ -45,7 +45,7 @@ from training.paste import paste
 from training.targets import CROP, encode
 
 NOTHING = np.empty((0, 5))
-FINDER_FILE = Path(measured.__file__).parents[1] / "orthoscale" / "detect" / "weights" / "finder.onnx"
+FINDER_FILE = Path(measured.__file__).parent / "weights" / "finder.onnx"
 
 
 def rows(boxes, kind="vehicle"):

@@ -20,7 +20,7 @@ def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Te
     network : of `training.network` or `training.measurer.network`; it is changed here.
 
     crops : (n, 3, h, w) RGB as trained with; one batch is enough, since training soon has its own statistics.
-    Raises ValueError where the file is of a network with other layers.
+    Raises ValueError where the file is of a network with other layers, or one stored in 8 bits (`quantise`).
     """
     network.eval()
     layers = list(_by_use(network, crops[:1]).items())
@@ -52,7 +52,9 @@ def _weights(onnx_file: Path) -> list[tuple[Tensor, Tensor]]:
 
     graph = onnx.load(onnx_file).graph
     values = {entry.name: torch.from_numpy(numpy_helper.to_array(entry).copy()) for entry in graph.initializer}
-    nodes = (node for node in graph.node if node.op_type in ("Conv", "Gemm"))
+    nodes = [node for node in graph.node if node.op_type in ("Conv", "Gemm")]
+    if not all(node.input[1] in values for node in nodes):
+        raise ValueError(f"{onnx_file}: stored in 8 bits; training goes on from the networks in training/weights")
     return [(values[node.input[1]], values[node.input[2]]) for node in nodes]
 
 
