@@ -104,6 +104,18 @@ def test_boxes_of_two_networks_differ_by_the_margins_of_both():
     assert both.sd == pytest.approx(0.03 * np.sqrt(2))
 
 
+def test_sizes_err_by_all_their_geometry_though_anchors_tell_the_scales():
+    """`sheffield`: a tennis court told both scales to 0.4 %, and left 0.02 % of the uncertainty to the ground pictures'
+    geometry. Their eight vehicles were 9 % larger than in the frames, and the two were said to contradict."""
+    first = replace(with_parts(0.1, geometry=2e-4, court=4e-3), by_vehicles={"geometry": 0.02, "margin": 0.01})
+    second = replace(with_parts(0.1, geometry=1e-4, court=4e-3), by_vehicles={"geometry": 0.03, "margin": 0.04})
+    apart = np.full((8, 2), 0.09)
+    for one_network, margins in ((True, 2 * 0.015**2), (False, 0.015**2 + 0.04**2)):
+        found = compare({"oblique": first, "planar": second}, apart, one_network)
+        assert found.sd == pytest.approx(np.sqrt(0.02**2 + 0.03**2 + margins)) and not found.contradicts
+        assert found.apart_sd < 0.03, "of the scales no more is open than before"
+
+
 def test_a_scale_by_a_distance_may_differ_by_all_that_is_not_known_of_the_fleet():
     by_distance, by_vehicles = with_parts(0.1, **{"known distance": 0.01}), with_parts(0.1, fleet=0.04)
     found = compare({"oblique": by_distance, "planar": by_vehicles})

@@ -27,7 +27,7 @@ class Scale:
     value : metres per pixel of an orthophoto, or per unit of a model.
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
-        drift.
+        drift. by_vehicles : the same of the vehicles alone, before other evidence; empty where that is `parts`.
     checks : the scale from lengths alone, from widths alone and, where these differ, from length minus width
         (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.
@@ -57,6 +57,7 @@ class Scale:
     evidence: tuple[Evidence, ...] = ()
     conflict: float = 0.0
     support: Support = Support()
+    by_vehicles: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def relative_sd(self) -> float:

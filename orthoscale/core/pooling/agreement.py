@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,9 +98,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_netwo
     differs from one by vehicles alone by the fleet's error.
     """
     a, b = scales.values()
-    margins = [0.0 if one_network else scale.parts.get("margin", 0.0) for scale in (a, b)]
-    own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b))
-    own += sum(max(margin, OWN_MARGIN) ** 2 for margin in margins)
+    own = sum(_own_variance(scale.parts, one_network) for scale in (a, b))
     sampling = sum(scale.parts.get("sampling", 0.0) ** 2 for scale in (a, b))
     shared = (a.parts.keys() | b.parts.keys()) - {"geometry", "sampling", *(() if one_network else ("margin",))}
     left = sum((a.parts.get(name, 0.0) - b.parts.get(name, 0.0)) ** 2 for name in shared)
@@ -108,11 +107,20 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_netwo
         return Agreement(scales, *apart, *apart)
     each = of_scales(scales, ratio)
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
+    # What else tells the scales tells nothing of the vehicles' sizes: these err by all that the two ways err.
+    own = sum(_own_variance(scale.by_vehicles or scale.parts, one_network) for scale in (a, b))
     own += OF_MEDIAN**2 * spread**2 / len(each)
     difference, sd = float(np.median(each)), float(np.sqrt(own))
     alike = abs(difference) < CONTRADICTION * sd
     mixes = float(np.hypot(a.parts.get("fleet", 0.0), b.parts.get("fleet", 0.0))) if alike else 0.0
     return Agreement(scales, difference, sd, *apart, len(each), mixes)
+
+
+def _own_variance(parts: Mapping[str, float], one_network: bool) -> float:
+    """Of what one of two measurements errs by and the other does not, besides sampling, by the `parts` of its
+    uncertainty."""
+    margin = 0.0 if one_network else parts.get("margin", 0.0)
+    return parts.get("geometry", 0.0) ** 2 + max(margin, OWN_MARGIN) ** 2
 
 
 def of_scales(scales: dict[str, Scale], ratio: np.ndarray) -> np.ndarray:

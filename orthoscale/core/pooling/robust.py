@@ -132,6 +132,7 @@ def pool(
         fleets=fleets,
         evidence=together.evidence,
         support=together.support,
+        by_vehicles=parts,
     )
 
 
