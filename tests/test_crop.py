@@ -54,13 +54,44 @@ def test_crops_are_as_large_on_the_ground_as_the_footprint(tmp_path, crs, step, 
     assert crops.out == (1000, 750) and crops.query == (0, 0, 1000, 750)
 
 
-@pytest.mark.parametrize("way", [(1, -1), (-1, 1)])
-def test_a_map_that_shows_the_ground_mirrored_is_refused(tmp_path, way):
-    path = satellite(tmp_path / "sat.tif")
+def stored_mirrored(path, how):
+    """The picture at `path`, stored with its last row first ("rows") or its last column first ("columns")."""
     with rasterio.open(path, "r+") as out:
-        out.transform = out.transform @ Affine.scale(*way)
-    with pytest.raises(UsageError, match="mirrored"):
-        Satellite.open(path)
+        pixels, (height, width), t = out.read(), out.shape, out.transform
+        if how == "rows":
+            out.write(pixels[:, ::-1])
+            out.transform = Affine(t.a, -t.b, t.c + t.b * height, t.d, -t.e, t.f + t.e * height)
+        else:
+            out.write(pixels[:, :, ::-1])
+            out.transform = Affine(-t.a, t.b, t.c + t.a * width, -t.d, t.e, t.f + t.d * width)
+    return path
+
+
+@pytest.mark.parametrize("turned", [0, 25])
+@pytest.mark.parametrize("how", ["rows", "columns"])
+def test_a_map_that_is_stored_mirrored_gives_the_same_crops(tmp_path, how, turned):
+    """South-up, as GDAL's netCDF and some viewers store it: the ground is the same. It was refused."""
+    write_photo(tmp_path / "a.jpg")
+    path = stored_mirrored(satellite(tmp_path / "sat.tif", turned=turned), how)
+    satellite(tmp_path / "usual.tif", turned=turned)
+    line = ("--gsd", 0.05, "--at", f"{LON},{LAT}", "--size", 200)
+    for sky, out in (("usual", "a"), ("sat", "b")):
+        done = run(tmp_path / "a.jpg", "--satellite", tmp_path / f"{sky}.tif", *line, "--out", tmp_path / out)
+        assert done.returncode == 0, done.stderr
+    (usual,), (row,) = (csv.DictReader((tmp_path / out / "manifest.csv").open()) for out in "ab")
+    a, b = (cv2.imread(str(tmp_path / out / "gallery/0000.jpg")).astype(int) for out in "ab")
+    if how == "columns":  # turned by half a turn then, as it is seen from above
+        b = b[::-1, ::-1]
+    assert np.abs(a - b).max() < 12, "JPEG, and a pixel by which windows are rounded"
+    assert [float(row[k]) for k in ("longitude", "latitude")] == pytest.approx(
+        [float(usual[k]) for k in ("longitude", "latitude")], abs=1e-5
+    )
+    # The manifest's pixels are those of the file.
+    middle = int(row["column_px"]) + int(row["width_px"]) / 2, int(row["row_px"]) + int(row["height_px"]) / 2
+    with rasterio.open(path) as sky:
+        to_crs = pyproj.Transformer.from_crs("EPSG:4326", sky.crs, always_xy=True)
+        place = to_crs.transform(float(row["longitude"]), float(row["latitude"]))
+        assert sky.xy(middle[1], middle[0], offset="ul") == pytest.approx(place, abs=0.01)
 
 
 @pytest.mark.parametrize("turned", [0, 25])

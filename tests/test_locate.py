@@ -16,7 +16,7 @@ import rasterio
 import shapely
 from PIL import Image
 from rasterio.crs import CRS
-from rasterio.transform import from_origin
+from rasterio.transform import Affine, from_origin
 from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
 from support.photos import FOCAL, boxes_in, detections_of, view_from, write_photo
@@ -290,6 +290,29 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     _, _, geometry, _ = pyogrio.raw.read(tmp_path / "out" / "located.gpkg", layer="cameras")
     camera = shapely.from_wkb(geometry[0])
     assert (camera.x - 500_000, 6_700_000 - camera.y) == pytest.approx(SHOTS[name].foot, abs=3.0)
+
+
+@pytest.mark.parametrize("how", ["rows", "columns"])
+def test_a_photo_is_located_on_a_map_that_is_stored_mirrored(flight, sky, tmp_path, ground, how):
+    """South-up, or with its first column in the east: the ground is the same. It was refused."""
+    pixels = ground[::2, ::2]
+    height, width = pixels.shape[:2]
+    place = from_origin(500_000, 6_700_000, 2 * GSD, 2 * GSD)
+    if how == "rows":
+        pixels = pixels[::-1]
+        place = Affine(place.a, 0, place.c, 0, -place.e, place.f + height * place.e)
+    else:
+        pixels = pixels[:, ::-1]
+        place = Affine(-place.a, 0, place.c + width * place.a, 0, place.e, place.f)
+    with rasterio.open(tmp_path / "map.tif", "w", "GTiff", width, height, 3, "EPSG:32632", place, "uint8") as out:
+        out.write(np.moveaxis(pixels, -1, 0))
+    shot = SHOTS["slanted.png"]
+    words = ("--satellite", tmp_path / "map.tif", "--out", tmp_path / "out", "--json")
+    done = run(*line(flight, tmp_path / "out", "slanted.png", *words))
+    assert done.returncode == 0, done.stderr
+    (told,) = json.loads(done.stdout)["photos"]
+    assert found_at(sky, told) == pytest.approx(shot.foot, abs=3.0)
+    assert told["heading_deg"] == pytest.approx(shot.heading % 360, abs=4.0)
 
 
 def test_a_photo_is_located_on_a_map_in_web_mercator_beyond_the_180th_meridian(flight, tmp_path, ground):

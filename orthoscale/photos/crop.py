@@ -133,11 +133,14 @@ def write_crops(
     with (folder / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(CROP_COLUMNS)
-        for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
+        in_file = crops.satellite.in_file(crops.windows).tolist()
+        for k, ((x, y, width, height), stored, (lon, lat)) in enumerate(
+            zip(crops.windows.tolist(), in_file, centres, strict=True)
+        ):
             name = f"gallery/{k:0{digits}d}.jpg"
             write_jpeg(folder / name, source.read(x, y, width, height, *crops.out), QUALITY)
             metres = [f"{v:.3f}" for v in crops.size]
-            table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
+            table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", *stored, *metres])
             if progress:
                 progress("Cutting crops", k + 1, len(crops.windows))
     (folder / "crop.json").write_text(json_in_utf8(document(crops, told), indent=1) + "\n", encoding="utf-8")

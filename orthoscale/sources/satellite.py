@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyproj
+from rasterio.transform import Affine
 
 from ..core.affine import transformed
 from ..errors import UsageError
@@ -16,24 +17,52 @@ from ..formats.degrees import about_meridian, near_on_map, to_degrees, turned_to
 from .raster import RasterSource
 
 
+class FromLastRow:
+    """A raster with its last row first: of one that shows the ground mirrored, the ground as it is seen from above."""
+
+    def __init__(self, source: RasterSource):
+        self.source = source
+        self.path, self.name, self.files = source.path, source.name, source.files
+        self.width, self.height = source.width, source.height
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        """As of `RasterSource`, of rows that are counted from the last."""
+        pixels = self.source.read(x, self.height - y - height, width, height, out_width, out_height)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def fingerprint(self) -> str:
+        """Another than that of the raster itself: what is kept of its pixels lies elsewhere. Raises InputError."""
+        return f"{self.source.fingerprint()}, last row first"
+
+
 @dataclass(frozen=True)
 class Satellite:
-    """A georeferenced satellite picture. Open it with `Satellite.open`."""
+    """A georeferenced satellite picture. Open it with `Satellite.open`. Its rows count from the last of the file where
+    that shows the ground mirrored (south-up, say), so that its pixels always show the ground as it is."""
 
-    source: RasterSource
+    source: RasterSource | FromLastRow
     transform: Any
     crs: pyproj.CRS
 
     @classmethod
     def open(cls, path: Path) -> Satellite:
-        """Raises InputError for what is no picture, UsageError for one without a place on Earth, or mirrored."""
+        """Raises InputError for what is no picture, UsageError for one without a place on Earth."""
         source = RasterSource.open(path)
         claim = source.claimed
         if not claim.usable or claim.transform is None:
             raise UsageError(f"{path} has no place on Earth: {claim.why}", "Give a georeferenced satellite picture.")
+        crs = pyproj.CRS.from_user_input(claim.crs)
         if claim.mirrored:
-            raise UsageError(f"{path}: the ground is mirrored in it ({claim.why})", "Turn it north-up with gdalwarp.")
-        return cls(source, claim.transform, pyproj.CRS.from_user_input(claim.crs))
+            t, height = claim.transform, source.height
+            up = Affine(t.a, -t.b, t.c + t.b * height, t.d, -t.e, t.f + t.e * height)
+            return cls(FromLastRow(source), up, crs)
+        return cls(source, claim.transform, crs)
+
+    def in_file(self, windows: np.ndarray) -> np.ndarray:
+        """(n, 4) x, y, width, height in the pixels of the file as it is stored, of `windows` (n, 4)."""
+        x, y, width, height = np.asarray(windows).T
+        mirrored = isinstance(self.source, FromLastRow)
+        return np.column_stack([x, self.source.height - y - height if mirrored else y, width, height])
 
     @cached_property
     def _to_degrees(self) -> pyproj.Transformer:
