@@ -17,7 +17,7 @@ from support.photos import SIZE
 from orthoscale.errors import InputError
 from orthoscale.evaluate.methods import METHODS
 from orthoscale.evaluate.places import placed, places_of_csv
-from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
+from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, _read_poses, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
@@ -125,6 +125,9 @@ def test_a_table_with_pitch_and_focal_length(folders):
         ("Image;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50;900;8.5;47.25"),  # as spreadsheets save it
         ("image, altitude_m, focal_px, longitude, latitude", "photos/000.jpg, 50, 900, 8.5, 47.25"),
         ("\ufeffimage\taltitude_m\tfocal_px\tlongitude\tlatitude", "photos/000.jpg\t50\t900\t8.5\t47.25"),
+        # Of much of Europe: a comma for the point.
+        ("Image;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50,000;900;8,500;47,250"),
+        ("image\taltitude_m\tfocal_px\tlongitude\tlatitude", 'photos/000.jpg\t50,0\t"900"\t8,5\t47,250'),
     ],
 )
 def test_tables_as_other_programs_save_them(folders, tmp_path, head, row):
@@ -250,6 +253,18 @@ def test_a_wrong_pitch_alone_leaves_the_lens(folders):
     assert after.photo.lens.camera.params == pytest.approx(bent.params)
 
 
+@pytest.mark.parametrize("change", [
+    lambda text: text.replace(".", ",").replace(",jpg", ".jpg"),
+    lambda text: text.replace(".", ",").replace(",jpg", ".jpg").replace(" ", ";"),
+    lambda text: text.replace(" ", ";"), lambda text: text.replace(" ", ", "),
+])  # fmt: skip
+def test_poses_with_decimal_commas_are_the_same(folders, tmp_path, change):
+    """Each comma began a new column, so the last six were not those that are meant."""
+    path = folders / "visloc" / "01" / "reference.txt"
+    (tmp_path / "reference.txt").write_text(change(path.read_text()))
+    assert _read_poses(tmp_path / "reference.txt") == _read_poses(path)
+
+
 def break_csv(text):
     return lambda folder: (folder / "photos.csv").write_text(text)
 
@@ -260,6 +275,10 @@ def break_csv(text):
         ("table", break_csv("image,height\na.jpg,5\n"), "no column altitude_m"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,high\n"), "line 2"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
+        ("table", break_csv("image,altitude_m,focal_px\nphotos/000.jpg,50,5,900\n"), "line 2: has more cells than the"),
+        ("table", break_csv('image,altitude_m\nphotos/000.jpg,"50,5"\n'), "line 2: altitude_m is '50,5', not a number"),
+        ("table", break_csv("image;altitude_m;focal_px\nphotos/000.jpg;50,5;900.5\n"), "altitude_m is '50,5', not"),
+        ("table", break_csv("image\taltitude_m\nphotos/000.jpg\t1,234\n"), "altitude_m is '1,234', not a number"),
         ("table", break_csv("image,altitude_m,Altitude_m\nphotos/000.jpg,5,6\n"), "several columns altitude_m"),
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),

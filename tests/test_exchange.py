@@ -385,6 +385,9 @@ def test_csv_tables(plain, tmp_path):
     text += "ortho; 9; 9; 9; 5; 0; ship\n"
     (box,) = load_text(plain, tmp_path, "d.csv", text).boxes["ortho.tif"].xylwa
     assert box == pytest.approx([100, 80, 40, 17, np.pi / 6])
+    text = "cx;cy;length;width;angle_deg;picture\n100,5;80,25;40;17,125;30;ortho.tif\n"  # as much of Europe writes it
+    (box,) = load_text(plain, tmp_path, "d.csv", text).boxes["ortho.tif"].xylwa
+    assert box == pytest.approx([100.5, 80.25, 40, 17.125, np.pi / 6])
 
 
 @pytest.mark.parametrize("name", [*EVERYTHING, "d.txt", "d.csv"])
@@ -546,6 +549,7 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.csv", "cx,cy,length\n", "no column width and angle"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
+        ("d.csv", "cx,cy,length,width,angle\n1,5,2,3,2,0,5\n", "line 2: has more cells than the header has"),
         ("d.csv", "", "no column cx"),
         ("d.csv", "cx,cy,length,width,angle,CX\n1,2,3,2,0,4\n", "several columns cx"),
     ],

@@ -404,6 +404,14 @@ def test_points_that_are_none(tmp_path, text):
         scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
 
 
+@pytest.mark.parametrize("text", ["1,5 2,5 3,5\n", "1,5;2;3,5\n"])
+def test_decimal_commas_are_named(tmp_path, text):
+    """It was said that the file is damaged."""
+    (tmp_path / "a.xyz").write_text(text)
+    with pytest.raises(InputError, match="line 1: numbers with decimal commas"):
+        scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_points_that_are_numbered(tmp_path, first):
     lines = [f"{first + k} {k}.5 2.5 3.5" for k in range(9)]

@@ -85,16 +85,12 @@ def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
     refuse_repeated(path, table, sorted(columns), "Keep one of them.")
     places: dict[str, tuple[float, float]] = {}
     for row in table:
-        texts = [(row[name] or "").strip() for name in ("longitude", "latitude")]
-        if not all(texts):
+        lon, lat = (table.number(row, name, "Correct or remove the line.") for name in ("longitude", "latitude"))
+        if lon is None or lat is None:
             continue
-        try:
-            lon, lat = (float(text) for text in texts)
-        except ValueError:
-            lon = lat = math.nan
         if not (abs(lon) <= 180 and abs(lat) <= 90):
             raise InputError(
-                f"{path}, line {table.line_num}: {', '.join(texts)} is no longitude and latitude",
+                f"{path}, line {table.line_num}: {lon:g}, {lat:g} is no longitude and latitude",
                 "Correct or remove the line.",
             )
         _add(places, (row["image"] or "").strip(), (lon, lat), f"{path}, line {table.line_num}")

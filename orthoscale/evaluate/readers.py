@@ -18,7 +18,8 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import absent, files_below, read_table, read_text, refuse_repeated
+from ..formats.points import decimal_commas
+from ..formats.reading import Table, absent, files_below, read_table, read_text, refuse_repeated
 from ..photos.folders import IMAGE_SUFFIXES
 from ..photos.measure import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
@@ -149,12 +150,14 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
 def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Longitude, latitude, height [m], yaw, pitch, roll [deg] by label: the last six columns of each line.
 
-    Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north.
+    Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north. Commas are
+    decimal ones where the numbers show it, else they are between columns, as blanks, tabs and semicolons are.
     """
     poses: dict[str, tuple[float, ...]] = {}
-    lines = read_text(path, "It is a table of poses.").splitlines()
-    for number, line in enumerate(lines, 1):
-        parts = line.replace(",", " ").split()
+    text = read_text(path, "It is a table of poses.")
+    commas = decimal_commas(re.split(r"[;\s]+", text))
+    for number, line in enumerate(text.splitlines(), 1):
+        parts = (line.replace(",", ".") if commas else line.replace(",", " ")).replace(";", " ").split()
         if len(parts) < 7 or line.startswith("#"):
             continue
         try:
@@ -190,24 +193,17 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
             )
         refuse_repeated(path, table, PHOTO_COLUMNS, "Keep one of them.")
         for row in table:
-            samples.append(_row(row, path, table.line_num, lens_file, focal_px))
+            samples.append(_row(row, table, lens_file, focal_px))
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table", "Save it as comma-separated UTF-8 text.") from error
     return samples, []
 
 
-def _row(row: dict[str, str], path: Path, line: int, lens_file: Path | None, focal_px: float | None) -> Sample:
+def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: float | None) -> Sample:
+    path, line = table.path, table.line_num
+
     def number(name: str) -> float | None:
-        text = (row.get(name) or "").strip()
-        if not text:
-            return None
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InputError(f"{path}, line {line}: {name} is {text!r}, not a number", "Correct or remove the line.")
-        return value
+        return table.number(row, name, "Correct or remove the line.")
 
     altitude = number("altitude_m")
     if altitude is None or altitude <= 0:

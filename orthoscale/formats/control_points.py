@@ -102,7 +102,7 @@ def _of_project(path: Path, head: tuple[int, str], lines: Iterable[tuple[int, st
             words = line.split()
             if len(words) < 6:
                 raise ValueError(f"{len(words)} words, where X Y Z COLUMN ROW PICTURE are six")
-            x, y, z = map(number, words[:3])
+            x, y, z, *_ = map(number, words[:5])
             place = to_earth.transform(x, y, z)
             if not all(map(math.isfinite, place)):
                 raise ValueError(f"{' '.join(words[:3])} is no place in {name}")

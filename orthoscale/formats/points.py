@@ -1,10 +1,17 @@
-"""Parsing points and numbers that users type."""
+"""Parsing points and numbers that users type, or their table programs."""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..errors import shown
+
+WITH_POINT = re.compile(r"[+-]?\d*\.\d+")
+WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
+MAYBE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # 1,234 is 1234 to some programs
 
 
 def coordinates(text: str, count: int, what: str) -> np.ndarray:
@@ -30,5 +37,18 @@ def number(text: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
+        if WITH_COMMA.fullmatch(text):
+            raise ValueError(f"{shown(text)!r} has a decimal comma: write {text.replace(',', '.')}")
         raise ValueError(f"{shown(text)!r} is not a finite number")
     return value
+
+
+def decimal_commas(words: Iterable[str], sure: bool = False) -> bool:
+    """Whether the numbers among `words` have decimal commas, as programs write them in much of Europe: some have a
+    comma that does not set thousands apart, or any one if that is `sure`, and none has a point."""
+    found = False
+    for word in words:
+        if WITH_POINT.fullmatch(word):
+            return False
+        found = found or bool(WITH_COMMA.fullmatch(word) and (sure or not MAYBE_THOUSANDS.fullmatch(word)))
+    return found

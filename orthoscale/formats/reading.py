@@ -11,11 +11,12 @@ import io
 import os
 import re
 import stat
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..errors import InputError, shown
+from .points import WITH_COMMA, decimal_commas, number
 
 MIB = 1 << 20
 SMALL = 4 * MIB  # a file of settings: a fleet, a card, a lens
@@ -29,6 +30,10 @@ NOT_FETCHED = "Only files on this computer are read: download or unpack it, and 
 # How addresses begin, GDAL's names of what is within a file, and its folders that are on no disk.
 _NO_FILE = re.compile(r"[A-Za-z][\w+.-]+:|/vsi\w+/")
 
+DECIMAL_COMMAS = (
+    "Write numbers with a point (12.5). Decimal commas (12,5) are read where ; or tabs are between the columns, if no "
+    "number in the table has a point."
+)
 EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it anew."
 
 T = TypeVar("T")
@@ -128,14 +133,50 @@ def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
         raise InputError(f"{path}: not UTF-8 text{other}", hint) from error
 
 
-def read_table(path: Path, hint: str = "") -> csv.DictReader:
+class Table(csv.DictReader):
+    """The lines of a CSV file by the names of its columns, as `read_table` makes it. Going through it raises csv.Error,
+    and InputError for a line with more cells than there are columns: 12,5 is two where columns end at commas.
+
+    commas : whether its numbers have decimal commas.
+    """
+
+    def __init__(self, path: Path, lines: Iterable[str], delimiter: str, commas: bool):
+        super().__init__(lines, (), skipinitialspace=True, delimiter=delimiter)
+        self.path, self.commas = path, commas
+
+    def __next__(self) -> dict[str | Any, str | Any]:
+        row = super().__next__()
+        if any(cell.strip() for cell in row.get(None) or ()):
+            raise InputError(f"{self.path}, line {self.line_num}: has more cells than the header has", DECIMAL_COMMAS)
+        return row
+
+    def number(self, row: Mapping[str | Any, str | Any], name: str, hint: str) -> float | None:
+        """The finite number in the column `name` of `row`, None where nothing is. Raises InputError."""
+        text = (row.get(name) or "").strip()
+        if not text:
+            return None
+        comma = WITH_COMMA.fullmatch(text)
+        try:
+            return number(text.replace(",", ".") if comma and self.commas else text)
+        except ValueError:
+            said = f"{self.path}, line {self.line_num}: {name} is {shown(text)!r}, not a number"
+            raise InputError(said, DECIMAL_COMMAS if comma else hint) from None
+
+
+def read_table(path: Path, hint: str = "") -> Table:
     """The lines of a CSV file, by the names of its columns in small letters, which stand in its first line that is not
-    blank. Columns end at commas, semicolons or tabs, whichever that line has most of. Raises InputError; going through
-    it, csv.Error."""
-    lines = io.StringIO(read_text(path, hint), newline="")
+    blank. Columns end at commas, semicolons or tabs, whichever that line has most of; where they do not end at commas,
+    numbers may have decimal commas, and beside semicolons they can have no others. Raises InputError."""
+    text = read_text(path, hint)
+    lines = io.StringIO(text, newline="")
     head = next((line for line in lines if line.strip(",; \t\r\n")), "")
+    delimiter = max(",;\t", key=head.count)
+    commas = False
+    if delimiter != "," and "," in text:
+        cells = re.split(rf"[{delimiter}\r\n]", text)
+        commas = decimal_commas((cell.strip(' "') for cell in cells), sure=delimiter == ";")
     lines.seek(0)
-    table: csv.DictReader[str] = csv.DictReader(lines, (), skipinitialspace=True, delimiter=max(",;\t", key=head.count))
+    table = Table(path, lines, delimiter, commas)
     try:
         names = next((row for row in table.reader if any(name.strip() for name in row)), [])
     except csv.Error as error:
@@ -144,7 +185,7 @@ def read_table(path: Path, hint: str = "") -> csv.DictReader:
     return table
 
 
-def refuse_repeated(path: Path, table: csv.DictReader, wanted: Iterable[str], hint: str = "") -> None:
+def refuse_repeated(path: Path, table: Table, wanted: Iterable[str], hint: str = "") -> None:
     """Raise InputError where `table`, which `read_table` read from `path`, has several columns of a `wanted` name."""
     for name in wanted:
         if list(table.fieldnames or ()).count(name) > 1:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from ...core.boxes import Boxes
-from ...errors import InputError, shown
-from ..reading import read_table, refuse_repeated
+from ...errors import InputError
+from ..reading import Table, read_table, refuse_repeated
 from .items import CLASS, PICTURE, SCORE_NAMES, Item, first
 
 NUMBERS = ("cx", "cy", "length", "width")
@@ -32,24 +32,24 @@ def read(path: Path) -> list[Item]:
         if missing:
             raise InputError(f"{path}: no column {' and '.join(missing)}", TABLE_HINT)
         refuse_repeated(path, table, (*NUMBERS, "angle", "angle_deg", *SCORE_NAMES, *CLASS, *PICTURE), TABLE_HINT)
-        rows = [_row(row, f"{path}, line {table.line_num}") for row in table]
+        rows = [_row(row, table) for row in table]
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table ({error})", TABLE_HINT) from error
     corners = Boxes(np.array([row[0] for row in rows], float).reshape(-1, 5), np.ones(len(rows))).corners
     return [Item(c, score, label, picture) for c, (_, score, label, picture) in zip(corners, rows, strict=True)]
 
 
-def _row(row: Mapping[str | None, str | None], origin: str) -> tuple[list[float], float, str | None, str | None]:
+def _row(row: Mapping[str, str], table: Table) -> tuple[list[float], float, str | None, str | None]:
     """A line's box, score, class and picture."""
 
-    def number(name: str, default: str | None = None) -> float:
-        word = row.get(name) or default
-        try:
-            return float(word or "")
-        except ValueError:
-            raise InputError(f"{origin}: {name} is {shown(word or '')!r}, not a number", TABLE_HINT) from None
+    def number(name: str, default: float | None = None) -> float:
+        value = table.number(row, name, TABLE_HINT)
+        value = default if value is None else value
+        if value is None:
+            raise InputError(f"{table.path}, line {table.line_num}: {name} is '', not a number", TABLE_HINT)
+        return value
 
     angle = number("angle") if "angle" in row else math.radians(number("angle_deg"))
     score = next((name for name in SCORE_NAMES if name in row), "score")
     label, picture = first(row, CLASS), first(row, PICTURE)
-    return [*map(number, NUMBERS), angle], number(score, "1"), label or None, picture or None
+    return [*map(number, NUMBERS), angle], number(score, 1.0), label or None, picture or None

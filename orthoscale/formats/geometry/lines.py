@@ -127,4 +127,6 @@ def _scaled(
     try:
         return (separator or b" ").join(grown(words, columns, scale)) + b"\n"
     except (ValueError, IndexError) as error:
+        if any(re.fullmatch(rb"[+-]?\d+,\d+", word) for word in words):
+            raise InputError(f"{place}: numbers with decimal commas", "Export it anew, with points (12.5).") from error
         raise InputError(f"{place}: no three coordinates where they belong", EXPORT_ANEW) from error
