@@ -65,7 +65,7 @@ def table(result: Result, place: Placement) -> dict[str, np.ndarray]:
         "used": vehicles["used"],
         "reason": vehicles["reason"],
         "heading_deg": np.degrees(np.arctan2(east, north)) % 180,
-        "scale_deviation_percent": 100 * vehicles["scale_deviation"],
+        "scale_deviation_percent": 100 * np.expm1(vehicles["scale_deviation"]),  # it is a logarithm
         "x_px": vehicles["x_unit"],
         "y_px": vehicles["y_unit"],
     }
