@@ -10,9 +10,11 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import pyogrio
 import pyproj
 import pytest
 import rasterio
+import shapely
 from click.testing import CliRunner
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
@@ -25,6 +27,9 @@ from orthoscale.core.detections import Swept, Tile
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
+from orthoscale.formats.csv_table import write_csv
+from orthoscale.formats.names import json_in_utf8
+from orthoscale.formats.vector import write_layer
 from orthoscale.report.document import pixel_size
 from orthoscale.report.extras import write_tiles
 from orthoscale.report.geo import outlines, table
@@ -302,6 +307,36 @@ def test_a_vehicle_counts_in_the_tile_whose_middle_is_nearest(everything, tmp_pa
     deviation = result.vehicles["scale_deviation"][first]
     assert rows[0]["m_per_px"] == pytest.approx(result.scale.value * np.exp(deviation.mean()), rel=1e-5)
     assert rows[0]["relative_spread"] == pytest.approx(deviation.std(ddof=1), rel=1e-3)
+
+
+def test_what_is_not_known_is_empty_in_every_format(everything, tmp_path):
+    """It was "nan" in tables, which spreadsheets take for text, and NaN in JSON, which strict readers refuse."""
+    _, result = everything
+    tiles = [("a.tif", Tile(0, 0, W, H, W, H)), ("a.tif", Tile(9 * W, 0, W, H, W, H))]  # no vehicle is in the second
+    swept = replace(result.detections, swept=Swept(tiles, 2))
+    write_tiles(replace(result, detections=swept), result.place(), tmp_path / "tiles.csv")
+    assert (tmp_path / "tiles.csv").read_text().splitlines()[2].endswith(",0,0,,")
+    row = {"a": float("nan"), "b": float("inf"), "c": 1.5}
+    write_csv(tmp_path / "a.csv", list(row), [row])
+    assert (tmp_path / "a.csv").read_text().split() == ["a,b,c", ",,1.5"]
+    assert json.loads(json_in_utf8({"rows": [row, (1, "\udcff")]})) == {
+        "rows": [{"a": None, "b": None, "c": 1.5}, [1, "\\udcff"]]
+    }
+    for name in ("a.gpkg", "a.geojson"):
+        write_layer(tmp_path / name, "rows", [shapely.Point(1, 2)], [row], "Point", "EPSG:4326")
+        ogr = pyogrio.raw.read(tmp_path / name)
+        assert [v[0] is None or np.isnan(v[0]) for v in ogr[3]] == [True, True, False], name
+    assert "NaN" not in (tmp_path / "a.geojson").read_text() and "nan" not in (tmp_path / "a.geojson").read_text()
+
+
+def test_a_vehicle_s_deviation_is_in_percent(everything):
+    """It was the logarithm times a hundred: -69 % of a scale of half the size."""
+    folder, result = everything
+    _, _, _, values = pyogrio.raw.read(folder / "out.tif.gpkg", layer="vehicles", columns=["scale_deviation_percent"])
+    ratio = np.exp(result.vehicles["scale_deviation"])
+    assert values[0] == pytest.approx(100 * (ratio - 1), abs=1e-9)
+    told = json.loads((folder / "out.tif.geojson").read_text())["features"]
+    assert [f["properties"]["scale_deviation_percent"] for f in told] == pytest.approx(100 * (ratio - 1))
 
 
 def test_all_outputs_are_refused_before_any_work(tmp_path, boxes):

@@ -7,10 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from .names import finite
+
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a header of `columns`, and a line per row, which has just these keys. Raises OSError."""
+    """Write a header of `columns`, and a line per row, which has just these keys; a cell is empty for None and for what
+    is no finite number. Raises OSError."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         table = csv.DictWriter(file, columns)
         table.writeheader()
-        table.writerows(rows)
+        table.writerows(map(finite, rows))

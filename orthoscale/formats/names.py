@@ -1,8 +1,10 @@
-"""Names of files need not be text: in files that are UTF-8, their other bytes stand as escapes."""
+"""What files may hold: names need not be text, and in files that are UTF-8 their other bytes stand as escapes; of
+numbers only those that are finite are written."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -33,10 +35,24 @@ def each_text(values: Any, change: Callable[[str], str]) -> Any:
 
 
 def json_in_utf8(values: Any, indent: int | None = None) -> str:
-    """JSON of plain `values`, texts as `in_utf8` has them: json itself writes halves of surrogate pairs for names that
-    are not UTF-8, which strict readers refuse."""
-    text = json.dumps(values, indent=indent)
+    """JSON of plain `values` that strict readers take: texts as `in_utf8` has them, where json itself writes halves of
+    surrogate pairs, and null for what is no finite number, where it writes NaN."""
+    try:
+        text = json.dumps(values, indent=indent, allow_nan=False)
+    except ValueError:
+        return json_in_utf8(finite(values), indent)
     return json.dumps(each_text(values, in_utf8), indent=indent) if r"\ud" in text else text
+
+
+def finite(values: Any) -> Any:
+    """Plain `values` with None for the numbers that are not finite: files say so by leaving them out."""
+    if isinstance(values, float):
+        return values if math.isfinite(values) else None
+    if isinstance(values, Mapping):
+        return {key: finite(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [finite(value) for value in values]
+    return values
 
 
 def first_few(names: Sequence[object], most: int = MOST_NAMED) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .names import in_utf8
+from .names import finite, in_utf8
 from .plain_path import writable
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
@@ -21,14 +21,14 @@ def write_layer(
     """Write shapely `shapes` (None for no place) of one `kind` ("Polygon" ...) with their `rows` as one layer.
 
     The file's ending says the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
-    All rows have the same keys; a missing value is None, and texts are written as `in_utf8` has them. `crs` is anything
-    GDAL understands. Raises OSError.
+    All rows have the same keys; a missing value is None or no finite number, and texts are written as `in_utf8` has
+    them. `crs` is anything GDAL understands. Raises OSError.
     """
     import pyogrio
     import shapely
 
     suffix = path.suffix.lower()
-    columns = [_column([row[name] for row in rows]) for name in rows[0]]
+    columns = [_column([finite(row[name]) for row in rows]) for name in rows[0]]
     try:
         with warnings.catch_warnings(), writable(path) as place:
             warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres have none that travels

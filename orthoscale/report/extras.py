@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,6 +12,7 @@ from rasterio.transform import Affine
 
 from ..core.source import Placement, Plan
 from ..errors import InputError
+from ..formats.csv_table import write_csv
 from ..sources.gdal import open_dataset, reading
 from ..system.signatures import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
@@ -87,13 +87,11 @@ def write_tiles(result: Result, place: Placement, path: Path) -> None:
         for k, tile in enumerate(tiles):
             here, used = owner == k, (owner == k) & scale.used
             n = int(used.sum())
-            local = scale.value * np.exp(deviation[used].mean()) if n else float("nan")
-            spread = deviation[used].std(ddof=1) if n > 1 else float("nan")
-            rows.append([tile.x, tile.y, tile.width, tile.height, int(here.sum()), n, f"{local:.6g}", f"{spread:.4g}"])
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(TILE_COLUMNS)
-        writer.writerows(rows)
+            local = f"{scale.value * np.exp(deviation[used].mean()):.6g}" if n else None
+            spread = f"{deviation[used].std(ddof=1):.4g}" if n > 1 else None
+            values = [tile.x, tile.y, tile.width, tile.height, int(here.sum()), n, local, spread]
+            rows.append(dict(zip(TILE_COLUMNS, values, strict=True)))
+    write_csv(path, TILE_COLUMNS, rows)
 
 
 def _is_of_tiles(out: Path, path: Path) -> bool:
