@@ -13,6 +13,7 @@ from support.in_process import run
 from support.reports import car_park
 
 from orthoscale.cli.main import main
+from orthoscale.sources.cameras import SCALED_MARK
 from orthoscale.sources.colmap import scale_model
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
@@ -287,7 +288,21 @@ def test_a_metric_model_claims_a_metre_per_unit(tmp_path):
     assert [row["claimed"] for row in rows] == [1, 1]
 
 
-def test_a_model_that_claims_no_scale_is_told_how_to_get_one():
+@pytest.mark.slow
+def test_a_model_that_claims_no_scale_is_told_which_it_has():
     done = run("check", EXAMPLE / "sparse", *RULES)
-    assert done.returncode == 2 and "nothing says that its coordinates are metres" in done.stderr
-    assert "orthoscale estimate" in done.stderr and "fix" in done.stderr
+    assert done.returncode == 2 and "claims no scale: nothing says that its coordinates are metres; it h" in done.stderr
+    assert "m/model-unit, 90 % 1" in done.stderr and "fix" in done.stderr
+    done = run("check", EXAMPLE / "sparse", *RULES, "--dry-run")
+    assert done.returncode == 0 and "nothing says that its coordinates are metres" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_model_that_looks_metric_is_compared_with_a_metre(tmp_path):
+    """Aligned with GPS, say, by a program that leaves no word of it. It was refused: it claims no scale."""
+    scale_model(EXAMPLE / "sparse", tmp_path, 14.157)
+    (tmp_path / SCALED_MARK).unlink()
+    done = run("check", tmp_path, *RULES)
+    assert done.returncode == 0 and "agrees: vehicles give" in done.stdout, done.stderr
+    assert "nothing says that its coordinates are metres, but its unit is nearly one" in done.stdout
+    assert "the claim itself is not tied to the ground" in done.stdout

@@ -14,7 +14,7 @@ from support.models import make_model, save
 from support.photos import write_photo
 
 import orthoscale
-from orthoscale.core.claims import perhaps_metric
+from orthoscale.core.claims import metric_claim, perhaps_metric
 from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
@@ -289,6 +289,9 @@ def test_what_looks_metric(value, change, told):
     model = SimpleNamespace(posed=True, metric_already="")
     said = [remark.text for remark in perhaps_metric(model, replace(scale, **change))]
     assert told in said[0] if told else not said
+    if "verdict" not in change:  # what it looks like, `check` compares it with
+        claim = metric_claim(model, replace(scale, **change))
+        assert (claim is not None) == bool(told) and (claim is None or (claim.claimed, claim.believed) == (1, False))
     for other in ({"posed": None}, {"metric_already": "orthoscale wrote it"}):
         assert not perhaps_metric(SimpleNamespace(**vars(model) | other), scale)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import Comparison, metric_claim, own_claim
+from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim
 from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
@@ -87,17 +87,23 @@ def checked(
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
     result = measured(source, request, progress, told, alone)
-    return Checked(result, comparisons(result))
+    found = comparisons(result)
+    if source.posed is not None and not found and not source.metric_already:
+        if (disagreement := result.disagreement) is not None:
+            raise disagreement
+        result.require_useful()
+        scale = result.scale
+        by = f"{scale.text()}, 90 % {scale.text(*scale.interval90)}"
+        raise UsageError(f"{source.path} claims no scale: {NOT_TOLD}; it has {by}", "Write it in metres by `fix`.")
+    return Checked(result, found)
 
 
 def require_claim(source: Source) -> None:
-    """Raise UsageError where `source` claims no scale that could be compared."""
-    if source.posed is not None:
-        if not source.metric_already:
-            why = "nothing says that its coordinates are metres"
-            raise UsageError(f"{source.path} claims no scale: {why}", f"{FIND_IT}, or write it in metres by `fix`.")
-        return
+    """Raise UsageError where `source` claims no scale that could be compared. Of a reconstruction only its scale tells
+    whether its unit looks like a metre."""
     claimed = source.claimed
+    if source.posed is not None:
+        return
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
         raise UsageError(f"{source.path} claims no scale{why}", f"{FIND_IT}.")

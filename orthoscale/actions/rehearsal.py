@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.claims import METRIC, figure, metric_reason
+from ..core.claims import METRIC, NOT_TOLD, figure, metric_reason
 from ..core.source import Source
 from ..formats.detections import load as load_detections
 from ..formats.detections import output_of
@@ -49,7 +49,9 @@ def rehearsal(
     if claim is not None and claim.gsd_m is not None:
         rows.append(("claim", figure(claim.gsd_m, claim.unit_known, claim.why)))
     if needs_claim and source.posed is not None:
-        rows.append(("claim", figure(METRIC, True, metric_reason(source.metric_already), source.unit)))
+        why = source.metric_already
+        unsaid = f"none: {NOT_TOLD}; compared with a metre if its unit turns out to be nearly one"
+        rows.append(("claim", figure(METRIC, True, metric_reason(why), source.unit) if why else unsaid))
     if isinstance(request, FixRequest) and out is not None:
         places = rehearsed(path, out, request, save_detections)
     else:

@@ -66,7 +66,8 @@ def check(
 ) -> None:
     """Compare the scale that INPUT claims with that of its vehicles.
 
-    A reconstruction claims a metre per unit if orthoscale or a map's coordinates or GPS made it metric.
+    A reconstruction claims a metre per unit if orthoscale, a map's coordinates or GPS made it metric, or if its unit
+    is within a tenth of one.
     The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
     and stretched projections such as EPSG:3857 are handled.
 

@@ -20,6 +20,7 @@ METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 # receivers' positions are metric within some per cent. If arbitrary units are spread evenly over two decades, one model
 # in twenty-three has such a unit by chance. A judgement.
 NEARLY_METRIC = 0.1
+NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] that such a claim is compared with
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
 UNIT_MISTAKES = (
@@ -149,16 +150,20 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
 
 
 def metric_claim(source: Source, scale: Scale) -> Comparison | None:
-    """A metre per unit, compared with `scale`, of a reconstruction that counts as metric; None of one that does not,
-    and where `scale` contradicts itself."""
-    if source.posed is None or not (why := source.metric_already) or scale.conflict:
+    """A metre per unit, compared with `scale`, of a reconstruction that counts as metric, or by its unit looks so; None
+    of others, and where `scale` contradicts itself."""
+    if source.posed is None or scale.conflict:
+        return None
+    why = source.metric_already
+    if not why and not _nearly_metric(scale):
         return None
     return Comparison(
-        "its coordinates claim",
+        "its coordinates claim" if why else "metres would have",
         METRIC,
         scale.value,
         _sd_towards(METRIC, scale),
-        why=metric_reason(why),
+        believed=bool(why),
+        why=metric_reason(why) if why else f"{NOT_TOLD}, but its unit is nearly one",
         by=_known_by(scale),
         useful=scale.verdict != UNUSABLE,
         unit=scale.unit,
@@ -171,8 +176,13 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
     It may have been aligned with positions that are not in its frames' tags, or so noisy that they say another scale.
     """
     value = scale.value
-    far = source.posed is None or abs(math.log(value / METRIC)) > NEARLY_METRIC
-    if far or scale.conflict or scale.verdict == UNUSABLE or source.metric_already:
+    if (
+        source.posed is None
+        or not _nearly_metric(scale)
+        or scale.conflict
+        or scale.verdict == UNUSABLE
+        or source.metric_already
+    ):
         return ()
     sigmas = abs(math.log(value / METRIC)) / _sd_towards(METRIC, scale)
     text = (
@@ -180,6 +190,10 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
         f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a scaled copy is {value:.3f} times as large all the same"
     )
     return (Remark(INFO, text),)
+
+
+def _nearly_metric(scale: Scale) -> bool:
+    return abs(math.log(scale.value / METRIC)) <= NEARLY_METRIC
 
 
 def metric_reason(metric_already: str) -> str:
