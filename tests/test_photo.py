@@ -27,7 +27,7 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate.claimed import claimed_scales
 from orthoscale.locate.level import LevelledPhoto
-from orthoscale.photos import tables
+from orthoscale.photos import survey, tables
 from orthoscale.photos.folders import find_photos
 from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
@@ -545,7 +545,7 @@ def test_another_focal_length_is_of_the_same_lens(tmp_path, text):
     assert before.mean_focal_length() == pytest.approx(230), "the photo itself stays as it is"
 
 
-def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet):
+def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet, monkeypatch):
     photos = [
         open_photo(write_photo(tmp_path / f"{k}.jpg", gps=(8.0 + 1e-7 * k, 47.0)), focal_px=FOCAL, pitch=-90.0)
         for k in range(4)
@@ -567,6 +567,9 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
     assert got.altitude.high - got.altitude.low > alone.altitude.high - alone.altitude.low
     assert got.scale.parts["sampling"] == pytest.approx(alone.scale.parts["sampling"] * got.overlap**0.5)
     longer = open_photo(tmp_path / "0.jpg", "other.jpg", focal_px=2 * FOCAL)
+    times = []
+    monkeypatch.setattr(survey, "measure", lambda *told: times.append(told) or measure(*told))
+    assert measure_together(photos, found, fleet).altitude == got.altitude and len(times) == 1, "no work is done twice"
     with pytest.raises(UsageError, match=rf"one lens; .* px \({photos[0].name}\) to .* px \({longer.name}\)"):
         measure_together([*photos, longer], found, fleet)
 

@@ -194,6 +194,7 @@ class PhotoScale:
     footprint : r times the picture's width and height [m].
     boxes : (N,) those that were measured; picture : (N,) the name of each one's photo.
     overlap : how many of the photos show a place, on average; the vehicles are fewer by that factor than the boxes.
+    shared : by what the sizes would change if attitude and lens were one sigma off, by cause [log].
     """
 
     photo: Photo
@@ -204,6 +205,13 @@ class PhotoScale:
     boxes: Boxes = field(repr=False)
     picture: np.ndarray = field(repr=False)
     overlap: float = 1.0
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    def overlapping(self, overlap: float) -> PhotoScale:
+        """The same vehicles with what is known of them if `overlap` of the photos show each place: the sampling part of
+        the interval grows by its square root."""
+        scale = _thinned(self.scale, overlap) if overlap > 1 else self.scale
+        return _assembled(self.photo, scale, self.shared, self.boxes, self.picture, overlap)
 
     def outline(self) -> np.ndarray | None:
         """(4, 2) the picture's corners on level ground [m], or None, as `Photo.outline`."""
@@ -306,18 +314,15 @@ class PhotoGeometry:
         return Findings(shared=seen.systematic.shared)
 
 
-def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet, overlap: float = 1.0) -> PhotoScale:
-    """One scale from the vehicles of `photos`, which were taken with one lens from one altitude (or are a single one).
-
-    overlap : see `PhotoScale`; the sampling part of the interval grows by its square root. Raises TooLittleEvidence.
-    """
+def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
+    """One scale from the vehicles of `photos`, which were taken with one lens from one altitude (or are a single one)
+    and show different ground. Raises TooLittleEvidence."""
     try:
         got = measure_boxes(PhotoGeometry.of(photos, found), fleet)
     except TooLittleEvidence as error:
         hint = error.hint or "Give photos that show more vehicles, or pool those of one altitude with --together."
         raise TooLittleEvidence(error.message, hint) from error
-    scale = _thinned(got.scale, overlap) if overlap > 1 else got.scale
-    return _assembled(photos[0], scale, got.found.shared, got.boxes, got.picture, overlap)
+    return _assembled(photos[0], got.scale, got.found.shared, got.boxes, got.picture, 1.0)
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
@@ -352,4 +357,4 @@ def _assembled(
     average, tilted = photo.gsd_from(above), photo.turned(RIGHT, photo.up_sd).gsd_from(above)
     gsd = Measure.log_normal(average, sd("pitch", np.log(tilted / average)))
     footprint = gsd * photo.tags.width, gsd * photo.tags.height
-    return PhotoScale(photo, scale, altitude, gsd, footprint, boxes, picture, overlap)
+    return PhotoScale(photo, scale, altitude, gsd, footprint, boxes, picture, overlap, shared=shifts)

@@ -209,7 +209,7 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
             f"about {different:.0f} different vehicles, {MIN_VEHICLES} are needed",
             "Give photos of more ground.",
         )
-    return measure(photos, found, fleet, overlap=len(looking) if overlap is None else overlap)
+    return alone.overlapping(len(looking) if overlap is None else overlap)
 
 
 def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float | None:
