@@ -34,6 +34,7 @@ from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
 from orthoscale.layout.place import PlacedFacility, arrange, centres, holds
 from orthoscale.layout.plan import document, plan, prompt
+from orthoscale.layout.terminal import summary
 from orthoscale.sources.georeference import LOCAL_CRS
 
 FACILITIES = load()
@@ -419,11 +420,15 @@ def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     report = {"scale": 0.1, "interval90": [0.092, 0.106]}
     path = orthophoto(tmp_path, report=report)
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
-    row = document(plan(path, lot, ["basketball@30,25"]))["facilities"][0]
-    assert (row["length_low"], row["length_high"]) == pytest.approx((-28 * 0.08, 28 * 0.06))
+    planned = plan(path, lot, ["basketball@30,25"])
+    assert "true length 25.76 to 29.68 m (90 %)" in summary(planned, None)
+    row = document(planned)["facilities"][0]
+    assert (row["length_low"], row["length_high"]) == pytest.approx((28 * 0.92, 28 * 1.06)), (
+        "lengths, not how far they are off"
+    )
     assert row["fits_at_low_scale"] and row["fits_at_high_scale"]
     told = document(plan(path, lot, ["basketball@30,25"], scale_error=0.3))["facilities"][0]
-    assert told["fits_at_low_scale"] is False and told["width_high"] == pytest.approx(4.5)
+    assert told["fits_at_low_scale"] is False and told["width_high"] == pytest.approx(15 * 1.3)
     (tmp_path / "scaled.tif.json").unlink()
     unknown = plan(path, lot, ["basketball"])
     assert document(unknown)["facilities"][0]["length_low"] is None

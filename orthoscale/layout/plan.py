@@ -121,7 +121,7 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
     centre = np.array([place.centre])
     px, py = ground.to_pixels(centre)[0]
     x, y = ground.to_crs(centre)[0]
-    off = [None, None] if ground.interval is None else [bound - 1 for bound in ground.interval]
+    low, high = (None, None) if ground.interval is None else ground.interval
     return {
         "number": k + 1,
         "code": f.code,
@@ -139,11 +139,11 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
         "y": float(y),
         "column_px": round(float(px), 2),
         "row_px": round(float(py), 2),
-        # What is drawn as `length` is this much shorter or longer on the ground, at the ends of the scale's interval.
-        "length_low": None if off[0] is None else round(f.length * off[0], 3),
-        "length_high": None if off[1] is None else round(f.length * off[1], 3),
-        "width_low": None if off[0] is None else round(f.width * off[0], 3),
-        "width_high": None if off[1] is None else round(f.width * off[1], 3),
+        # What is drawn as `length` may be as short or as long on the ground, at the ends of the scale's interval.
+        "length_low": None if low is None else round(f.length * low, 3),
+        "length_high": None if high is None else round(f.length * high, 3),
+        "width_low": None if low is None else round(f.width * low, 3),
+        "width_high": None if high is None else round(f.width * high, 3),
         "fits_at_low_scale": None if layout.holds_low is None else layout.holds_low[k],
         "fits_at_high_scale": None if layout.holds_high is None else layout.holds_high[k],
         "source": f.source,

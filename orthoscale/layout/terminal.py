@@ -24,8 +24,8 @@ def summary(layout: Layout, out: Path | None) -> str:
         if f.north_south and place.from_north > 20:
             line += f", {place.from_north:.0f} degrees off north-south"
         if ground.interval is not None:
-            low, high = ((bound - 1) * f.length for bound in ground.interval)
-            line += f"; true length {low:+.2f} to {high:+.2f} m"
+            low, high = (bound * f.length for bound in ground.interval)
+            line += f"; true length {low:.2f} to {high:.2f} m (90 %)"
             if layout.holds_low is not None and not layout.holds_low[k]:
                 line += ", at the low end of the scale it no longer fits"
         lines.append(line)
