@@ -219,6 +219,19 @@ def test_gdal_reads_the_world_file_as_the_geotiff_lies(tmp_path, boxes, name):
         assert beside.transform[:6] == pytest.approx(copy.transform[:6], abs=1e-6)
 
 
+def test_the_copy_says_how_well_its_scale_is_known(everything, boxes):
+    """Who gets the file alone, without its report, reads it in the layer's properties."""
+    folder, result = everything
+    low, high = result.scale.interval90
+    said = f"{result.scale.value:.6g} m/px, 90 % {low:.6g} to {high:.6g} m/px, {result.scale.verdict}; "
+    said += f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}"
+    with rasterio.open(folder / "out.tif") as raster:
+        assert raster.tags()["ORTHOSCALE_SCALE"] == said
+    fixed(folder / "out.tif", folder / "again.tif", boxes, cog=True)
+    with rasterio.open(folder / "again.tif") as raster:
+        assert raster.tags()["ORTHOSCALE_SCALE"] == said, "that of the last"
+
+
 def test_the_scale_file_begins_with_the_scale(everything):
     folder, result = everything
     assert float((folder / "out.tif.scale.txt").read_text().split()[0]) == result.scale.value

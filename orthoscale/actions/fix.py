@@ -189,7 +189,11 @@ class _PlanWriter:
         return main, parts
 
     def write(self, main: Path, result: Result) -> None:
-        self.plan.write(main, result.scale.value, result.place(self.request.keep_origin), self.request.cog)
+        scale, place = result.scale, result.place(self.request.keep_origin)
+        low, high = scale.interval90
+        by = f"{scale.vehicles_used} vehicles, fleet {scale.fleet}"
+        said = f"{scale.value:.6g} m/px, 90 % {low:.6g} to {high:.6g} m/px, {scale.verdict}; {by}"
+        self.plan.write(main, scale.value, place, self.request.cog, said)
 
     def write_more(self, result: Result, outputs: Outputs) -> None:
         for extra, partial in zip(self.extras, self.places_of_extras, strict=True):

@@ -166,9 +166,11 @@ class Plan(Source, Picture, Protocol):
         """Raise UsageError for a name of a file that `write` would refuse."""
         ...
 
-    def write(self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False) -> None:
-        """Write a GeoTIFF of the same pixels in metres, at `place`, by default in local metres; what is worth knowing
-        of that goes to `notes`."""
+    def write(
+        self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False, said: str = ""
+    ) -> None:
+        """Write a GeoTIFF of the same pixels in metres, at `place`, by default in local metres, with what is `said` of
+        the scale in it; what is worth knowing of that goes to `notes`."""
         ...
 
 

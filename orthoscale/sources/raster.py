@@ -366,7 +366,9 @@ class RasterSource:
         """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
         return (kept_place if keep_origin else local_place)(self.claimed, self.height, metres_per_pixel)
 
-    def write(self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False) -> None:
+    def write(
+        self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False, said: str = ""
+    ) -> None:
         """Write a GeoTIFF with the same pixels and the measured scale.
 
         A TIFF of one image is copied and only its georeferencing is replaced; anything else is written losslessly
@@ -379,6 +381,7 @@ class RasterSource:
         metres_per_pixel : [m/px] the measured scale.
         place : the georeferencing that it gets; by default local metres, north up, origin at the lower left corner.
         cog : write a cloud-optimised GeoTIFF (lossless, deflate), with overviews.
+        said : of the scale, a line for whoever gets the file without its report: its metadata ORTHOSCALE_SCALE.
 
         Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError when
         the input turns out to be damaged, or was changed since it was opened; OutputError when the copy cannot be
@@ -393,7 +396,7 @@ class RasterSource:
         place = place or self.place(metres_per_pixel)
         original = self._original
         self._require_unchanged()
-        original.write(path, place, cog)
+        original.write(path, place, cog, said)
         self._require_unchanged()
         notes = [f"{path.name}: {place.said}"]
         if original.is_cog and not cog:

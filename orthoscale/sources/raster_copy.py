@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from ..core.source import Placement
 from ..errors import OutputError
+from ..formats.names import in_utf8
 from ..system.signatures import signature
 from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
 
@@ -32,6 +33,7 @@ _TRANSPARENT = "NODATA_VALUES"  # GDAL's tag of a colour that has no data: a val
 # Domains of metadata that are not copied: GDAL's own, those of the file's structure, those of former georeferencing,
 # and a profile, which is no metadata in a TIFF. Of XML only XMP is: of the rest much is former georeferencing.
 _OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
+SCALE_TAG = "ORTHOSCALE_SCALE"  # metadata of a copy: its scale in words, which travels with it as the report may not
 _XMP = "xml:XMP"  # GDAL's domain and name of XMP: who made the picture, with what, whose it is
 
 
@@ -48,7 +50,7 @@ class Original:
     paletted: bool
     lock: threading.RLock
 
-    def write(self, path: Path, place: Placement, cog: bool = False) -> None:
+    def write(self, path: Path, place: Placement, cog: bool = False, said: str = "") -> None:
         """Write the copy, see `RasterSource.write`. Raises InputError for a damaged original; OutputError for a copy
         that cannot be written or does not read back alike."""
         plain = path.with_name(f"plain.{path.name[-100:]}") if cog else path  # a long name has no room for more
@@ -61,7 +63,7 @@ class Original:
                 with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
                     self._restore_properties(copy)
                     copy.crs, copy.transform = place.crs, place.transform
-                    copy.update_tags(WRITTEN_BY=signature(path))
+                    copy.update_tags(WRITTEN_BY=signature(path), **({SCALE_TAG: in_utf8(said)} if said else {}))
                 if cog:
                     self._optimise(plain, path)
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
