@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -690,7 +691,11 @@ def test_one_photo_is_answered_in_full(flight):
     done = run(folder / "a.jpg", *rules)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("altitude") and "90 %" in lines[0]
+    value, low, high = map(float, re.fullmatch(
+        r"altitude +([\d.]+) m \(90 %: ([\d.]+) to ([\d.]+)\)   \(\w+\)", lines[0]
+    ).groups())  # fmt: skip
+    last = 10.0 ** -len(lines[0].split()[1].partition(".")[2])
+    assert 5 * last < (high - low) / 2 < 100 * last, "no more digits than its uncertainty leaves it"
     assert "from XMP" in done.stdout
     (told,) = (line.split() for line in lines if "above its take-off point" in line)
     assert told[:2] == ["drone", "59.0"] and float(told[2]) == pytest.approx(59 / ALTITUDE, rel=0.01)

@@ -72,6 +72,7 @@ def crop(
     gallery/, manifest.csv (a line per crop: file, longitude, latitude, pixels) and crop.json: a gallery for any
     retrieval network.
     """
+    from ..core.scale import with_interval
     from ..errors import UsageError
     from ..photos import crop as cropping
     from ..photos.footprint import footprint_of
@@ -96,12 +97,13 @@ def crop(
         click.echo(json_in_utf8(text))
         return
     low, high = shown.told.get("gsd_interval90", (None, None))
-    known = f" (90 %: {100 * low:.4g} to {100 * high:.4g})" if low else " (given)"
+    gsd_cm = 100 * shown.gsd
+    known = with_interval(gsd_cm, 100 * low, 100 * high, "cm/px") if low else f"{gsd_cm:.4g} cm/px (given)"
     metres = f"{crops.size[0]:.1f} x {crops.size[1]:.1f} m"
     pixels = f"{crops.windows[0, 2]} x {crops.windows[0, 3]} px"
     lines = [
         f"crops      {len(crops.windows)} of {metres}, resampled to {crops.out[0]} x {crops.out[1]} px",
-        f"photo      {100 * shown.gsd:.4g} cm/px{known}",
+        f"photo      {known}",
         f"satellite  {crops.pixel[0]:.4g} x {crops.pixel[1]:.4g} m/px, {pixels} a crop",
         *(f"note       {note}" for note in shown.told.get("notes", ())),
         f"written    {out}: query.jpg, gallery/, manifest.csv, crop.json",

@@ -20,6 +20,12 @@ def decimals(uncertainty: float) -> int:
     return max(0, 1 - int(np.floor(np.log10(uncertainty)))) if uncertainty > 0 else 6
 
 
+def with_interval(value: float, low: float, high: float, unit: str) -> str:
+    """A value with its 90 % interval, for people: no more digits than its uncertainty leaves it."""
+    places = decimals((high - low) / 2)
+    return f"{value:.{places}f} {unit} (90 %: {low:.{places}f} to {high:.{places}f})"
+
+
 @dataclass(frozen=True)
 class Scale:
     """Metres per unit of the source, and how well that is known.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..core.scale import with_interval
 from .catalogue import load
 from .plan import Layout
 
@@ -32,11 +33,12 @@ def summary(layout: Layout, out: Path | None) -> str:
     for sentence in dict.fromkeys(m.sentence() for m in layout.missing):
         times = sum(m.sentence() == sentence for m in layout.missing)
         lines.append(f"missing    {f'{times} x ' if times > 1 else ''}{sentence}")
-    scale = f"scale      {100 * ground.gsd:.4g} cm/px"
-    if ground.interval is not None:
-        low, high = (100 * ground.gsd * bound for bound in ground.interval)
-        scale += f"   (90 %: {low:.4g} to {high:.4g})"
-    lines.append(scale)
+    gsd_cm = 100 * ground.gsd
+    if ground.interval is None:
+        lines.append(f"scale      {gsd_cm:.4g} cm/px")
+    else:
+        low, high = ground.interval
+        lines.append(f"scale      {with_interval(gsd_cm, gsd_cm * low, gsd_cm * high, 'cm/px')}")
     lines += [f"note       {note}" for note in layout.notes]
     if out is not None:
         lines.append(f"written    {out}: see overlay.png")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..core.scale import with_interval
+
 
 def summary(text: dict[str, Any], out: Path) -> str:
     """Lines for the document of `outcome.document`, and what was written to the folder `out`."""
@@ -19,19 +21,19 @@ def summary(text: dict[str, Any], out: Path) -> str:
 
 def _lines(photo: dict[str, Any]) -> list[str]:
     claimed = photo.get("claimed_scale")
-    before = [] if claimed is None else [f"scale      {claimed['by']} {_cm(claimed)} cm/px"]
+    before = [] if claimed is None else [f"scale      {claimed['by']} {_cm(claimed)}"]
     if not photo["located"]:
         return [*before, f"place      {photo['problem'].removeprefix(photo['photo'] + ': ')}"]
     lon, lat = photo["foot"]
     x, y = photo["foot_crs"]
-    place = f"place      {lon:.6f}, {lat:.6f} (below the camera; x {x:.2f}, y {y:.2f} on the map)"
+    place = f"place      longitude {lon:.6f}, latitude {lat:.6f} (below the camera; x {x:.2f}, y {y:.2f} on the map)"
     heading = f"heading    {round(photo['heading_deg'], 1) % 360:.1f} degrees"
     if photo["altitude_m"] is not None:
-        heading += f"; altitude {_metres(photo['altitude_m'])} m"
+        heading += f"; altitude {with_interval(*_ends(photo['altitude_m']), 'm')}"
     matches = f"matches    {photo['inliers']}, {photo['needed']} needed; score {photo['score']:.2f}"
-    scale = [*before, f"           map {_cm(photo['map_scale'])} cm/px"]
+    scale = [*before, f"           map {_cm(photo['map_scale'])}"]
     if photo["together"] is not None:
-        scale.append(f"           together {_cm(photo['together'])} cm/px")
+        scale.append(f"           together {_cm(photo['together'])}")
     lines = [place, heading, matches, *scale, f"           {photo['agreement']['said']}"]
     if "exif_position" in photo:
         lines.append(f"EXIF       its position is {photo['exif_position']['metres_away']:.1f} m away")
@@ -39,8 +41,9 @@ def _lines(photo: dict[str, Any]) -> list[str]:
 
 
 def _cm(scale: dict[str, float]) -> str:
-    return f"{100 * scale['value']:.4g} ({100 * scale['low']:.4g} to {100 * scale['high']:.4g})"
+    value, low, high = _ends(scale)
+    return with_interval(100 * value, 100 * low, 100 * high, "cm/px")
 
 
-def _metres(value: dict[str, float]) -> str:
-    return f"{value['value']:.1f} ({value['low']:.1f} to {value['high']:.1f})"
+def _ends(value: dict[str, float]) -> tuple[float, float, float]:
+    return value["value"], value["low"], value["high"]

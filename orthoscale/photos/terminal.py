@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.scale import with_interval
 from .measure import Measure, PhotoScale
 from .tables import PhotoOutcome
 
@@ -103,7 +104,7 @@ def _short(got: PhotoScale) -> str:
 
 
 def _interval(m: Measure, unit: str) -> str:
-    return f"{m.value:.4g} {unit} (90 %: {m.low:.4g} to {m.high:.4g})"
+    return with_interval(m.value, m.low, m.high, unit)
 
 
 def _told(what: str, texts: Sequence[str]) -> list[str]:
