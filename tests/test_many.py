@@ -20,7 +20,7 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import finished, inputs, many
 from orthoscale.actions.inputs import Named, outputs_of
-from orthoscale.cli.many import tell_rehearsals
+from orthoscale.cli.many import line, tell_rehearsals
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import inputs_in, write_summary
@@ -111,6 +111,17 @@ def test_summaries_in_every_format(parks, tmp_path, ending):
         assert (
             'href="scaled/a.tif.html"' in page and "broken.tif" in page and "http:" not in page and "https:" not in page
         )
+
+
+@pytest.mark.parametrize("claim, unit", [("agrees", "m/px"), ("has no unit", "per pixel")])
+def test_a_claim_is_told_with_its_unit(tmp_path, claim, unit):
+    row = dict.fromkeys(many.COLUMNS) | {
+        "input": "a.tif", "exit_code": 0, "scale": 0.085, "unit": "m/px", "low90": 0.08, "high90": 0.09,
+        "verdict": "good", "vehicles_used": 60, "fleet": "DE", "claimed": 0.0851, "claim": claim,
+    }  # fmt: skip
+    write_summary([row], tmp_path / "a.html", tmp_path / "a.html")
+    assert f"0.0851 {unit}: {claim}" in (tmp_path / "a.html").read_text()
+    assert f"its claim of 0.0851 {unit} {claim}" in line(row)
 
 
 @pytest.mark.parametrize("ending", ["csv", "json", "gpkg", "html"])

@@ -218,6 +218,7 @@ def line(row: Row) -> str:
     if row["scale"] is None:
         return f"{row['input']}: no scale (exit code {row['exit_code']})"
     from ..core.scale import decimals, interval_about
+    from ..report.summary import claimed
 
     half = (row["high90"] - row["low90"]) / 2
     within = interval_about(row["scale"], row["low90"], row["high90"])
@@ -226,5 +227,5 @@ def line(row: Row) -> str:
         f"(90 % within {within}), {row['vehicles_used']} vehicles of fleet {row['fleet']}"
     )
     if row["claim"]:
-        text += f"; its claim of {row['claimed']:.4g} {row['claim']}"
+        text += f"; its claim of {claimed(row)} {row['claim']}"
     return text + (f" (exit code {row['exit_code']})" if row["exit_code"] else "")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from ..core.claims import NO_UNIT
 from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
@@ -119,10 +120,20 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
-    lines = [{**row, "name": name_of(row["input"]), **_shown(row), "page": _page_of(row, place)} for row in rows]
+    lines = [
+        {**row, "name": name_of(row["input"]), **_shown(row), "said_claim": claimed(row), "page": _page_of(row, place)}
+        for row in rows
+    ]
     good = sum(row["exit_code"] == 0 for row in rows)
     text = template("summary.html").render(lines=lines, good=good, format=SUMMARY_FORMAT)
     path.write_bytes(text.encode("utf-8", "backslashreplace"))  # file names need not be text
+
+
+def claimed(row: Mapping[str, Any]) -> str:
+    """The scale that the input of a row claims, with its unit; '' where it claims none."""
+    if not row["claim"]:
+        return ""
+    return f"{row['claimed']:.4g} {'per pixel' if row['claim'] == NO_UNIT else row['unit']}"
 
 
 def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
