@@ -6,6 +6,7 @@ import json
 import re
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -313,6 +314,17 @@ def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(sq
     cv2.imwrite(str(path), image)
     with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
         orthoscale.estimate(path, known_distance=["10,20 310,220 36.2 0.4"], **options)
+
+
+@pytest.mark.slow
+def test_what_a_scale_rests_on_is_in_the_list():
+    """They were looked for at another scale than by `estimate`, and lane dashes of the example were not among them."""
+    town = Path(__file__).parents[1] / "examples/town/ortho.jpg"
+    used = orthoscale.estimate(town, fleet="DE").anchors.votes
+    done = run("anchors", town, "--fleet", "DE", "--json")
+    listed = [(a["kind"], a["standard"]) for a in json.loads(done.stdout)["anchors"]]
+    assert {kind for kind, _ in listed} >= {vote.anchor.kind for vote in used} == {"zebra crossing", "lane dashes"}
+    assert len(listed) >= len(used)
 
 
 def test_the_command_lists_and_draws_them(two_kinds, tmp_path):

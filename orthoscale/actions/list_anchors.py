@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..anchors.kinds import NO_KIND
 from ..core.measuring.anchors import FoundAnchors
 from ..core.progress import Progress
 from ..core.scale import Scale
@@ -91,20 +90,21 @@ def list_anchors(
 ) -> AnchorList:
     """All anchors in the input at `path` of the kinds that `request` names, everywhere in it.
 
-    scale : rough metres per unit of the source, good to a tenth; by default its vehicles are measured. Raises as
-    `estimate` does.
+    scale : rough metres per unit of the source, good to a tenth; by default what `estimate` looks for them at, so that
+    what it rests on is in the list. Raises as `estimate` does.
     """
     own = own_standards(request.anchor)
     effort = replace(effort_of(request), exhaustive=True)
     if scale is None:
         if request.vehicles_only:
             raise UsageError("--estimator iqr is the paper's, for vehicles only", "Remove --estimator.")
-        result = measured(path, replace(request, anchors=(NO_KIND,), anchor=()), progress)
+        result = measured(path, request, progress)
+        by_vehicles = result.anchors.without or result.scale  # at another scale others might be found
         country = result.method.country
         footing = footing_of(result.source, result.detections, result.fleet)
         wanted = Wanted(request.anchors, own, country, effort, progress, footing)
-        found = look_for_anchors(result.source, result.scale, wanted)
-        return AnchorList(result.source, found, result.scale.value, result.scale)
+        found = look_for_anchors(result.source, by_vehicles, wanted)
+        return AnchorList(result.source, found, by_vehicles.value, by_vehicles)
     if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
     request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")

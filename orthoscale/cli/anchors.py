@@ -69,7 +69,9 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     if as_json:
         click.echo(json_in_utf8(told))
         return
-    by = "as told" if found.scale is None else f"by the vehicles, {found.scale.within}"
+    by = "as told"
+    if found.scale is not None:
+        by = f"{'by the vehicles' if found.scale.vehicles_used else 'without vehicles'}, {found.scale.within}"
     lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]
     for a in told["anchors"]:
         where = ",".join(f"{v:.0f}" for v in a["place_px"])
