@@ -18,6 +18,8 @@ from orthoscale.core.ruler import Ruler
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.calibration import load_calibration, save_calibration
+from orthoscale.sources.country import country_of
+from orthoscale.sources.raster import RasterSource
 
 GSD = 0.1
 ZOOMS = np.array([0.6, 0.85, 1.2])
@@ -122,6 +124,22 @@ def test_a_local_fleet_has_the_sizes_that_were_measured_without_their_noise():
     assert local.mean[:2] == pytest.approx(1.1 * germany.mean[:2], rel=0.02)
     assert local.sd[:2] == pytest.approx(1.1 * germany.sd[:2], rel=0.3)  # a flat mixture has a wide middle
     assert local.mean_sd[:2] == pytest.approx(local.mean[:2] * [0.01, 0.02], rel=0.01)
+
+
+@pytest.mark.parametrize("code, country", [("US", "US"), ("US_TX", "US"), ("world", "")])
+def test_a_local_fleet_keeps_the_country_whose_standards_hold_there(tmp_path, code, country):
+    """Else its lane dashes do not count: "the country is not known". So may a fleet of one's own name it."""
+    fleet = load_fleet(code)
+    size = fleet.sample(np.random.default_rng(3), 400)[:, :2]
+    entry = local_fleet_entry(size, np.array([0.1, 0.1]), np.array([0.01, 0.02]), fleet, "n", "s")
+    (tmp_path / "here.json").write_text(json.dumps(entry))
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((64, 64, 3), np.uint8))
+    for local in (Fleet.from_entry("local", entry), load_fleet(tmp_path / "here.json")):
+        with RasterSource.open(tmp_path / "a.png") as nowhere:
+            assert country_of(nowhere, local) == country
+    (tmp_path / "here.json").write_text(json.dumps(entry | {"country": "Germany"}))
+    with pytest.raises(InputError, match="country"):
+        load_fleet(tmp_path / "here.json")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ and of the detector (c) do the rest. All of it is one least-squares problem per 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from .market_segments import AXES
 from .pooling.posterior import ROBUST_SD
 from .ruler import Ruler
 
+ISO_CODE = re.compile("[A-Z]{2}")
 LEAST_SPREAD = 0.5  # of the country's, of the vehicles of a place: noise is known too badly to say that they are alike
 
 
@@ -105,9 +107,12 @@ def local_fleet_entry(
     sd = [*(mean[:2] * spread), fleet.sd[2]]
     known = [*relative_sd, fleet.mean_sd[2] / fleet.mean[2]]
     covariance = fleet.log_covariance
+    # The place has its country's lane dashes and bays, too.
+    country = {"country": fleet.country} if ISO_CODE.fullmatch(fleet.country) else {}
     return {
         "name": name,
         "source": source,
+        **country,
         "year": fleet.year,
         **{a: [round(float(m), 4), round(float(s), 4)] for a, m, s in zip(AXES, mean, sd, strict=True)},
         "mean_sd": [round(float(m * k), 4) for m, k in zip(mean, known, strict=True)],

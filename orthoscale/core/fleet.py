@@ -45,6 +45,7 @@ class Fleet:
     prior: tuple[float, ...] = ()  # probability of each candidate
     shares_sd: float = 0.0
     three_wheelers: Class | None = None
+    of_country: str = ""  # ISO code that a fleet of one's own names, where its own code says none
 
     @classmethod
     def from_entry(cls, code: str, entry: Mapping[str, Any], segments: Mapping[str, Any] | None = None) -> Fleet:
@@ -61,7 +62,8 @@ class Fleet:
             total = sum(float(part.get("weight", 1.0)) for part in parts)
             classes = tuple(_class(part, total, mean_sd / mean, 0.3 if len(parts) > 1 else 0.8) for part in parts)
         source, shares = entry["source"], entry.get("shares_source", "")
-        return cls(code, entry["name"], mean, sd, mean_sd, classes, int(entry.get("year", 0)), source, shares)
+        year, country = int(entry.get("year", 0)), entry.get("country", "")
+        return cls(code, entry["name"], mean, sd, mean_sd, classes, year, source, shares, of_country=country)
 
     @cached_property
     def told_apart(self) -> tuple[Class, ...]:
@@ -93,8 +95,9 @@ class Fleet:
 
     @property
     def country(self) -> str:
-        """What its code begins with: an ISO code where it is a country's or of a part of one (``US`` of ``US_TX``)."""
-        return self.code.split("_")[0]
+        """The ISO code that it names, else what its own code begins with, which is one where it is a country's or of a
+        part of one (``US`` of ``US_TX``)."""
+        return self.of_country or self.code.split("_")[0]
 
     @cached_property
     def log_mean(self) -> np.ndarray:

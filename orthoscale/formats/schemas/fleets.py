@@ -11,6 +11,7 @@ from .networks import RulerEntry
 from .values import Metres, Name, Sigma, Text, Weight
 
 Sizes = tuple[Metres, Sigma]  # mean and one sigma between vehicles
+Country = Annotated[str, Meta(pattern="^[A-Z]{2}$")]  # ISO 3166
 Correlation = Annotated[float, Meta(gt=-1, lt=1)]
 
 
@@ -51,6 +52,7 @@ class FleetEntry(Struct):
     corr_LW: Correlation | UnsetType = UNSET
     year: Annotated[int, Meta(ge=0, le=9999)] = 0
     shares_source: Text = ""
+    country: Country | UnsetType = UNSET
 
     def __post_init__(self) -> None:
         _check_sizes(self)
