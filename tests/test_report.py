@@ -30,7 +30,7 @@ from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json
 from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
-from orthoscale.report.lettering import HALO, write_on
+from orthoscale.report.lettering import HALO, in_ascii, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
@@ -590,6 +590,18 @@ def test_texts_can_be_read_in_both_schemes():
 
 def test_what_chance_gives_stays_pale():
     assert strength(0.1, 0.1) < 0.15 and strength(0.31, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0
+
+
+@pytest.mark.parametrize("name, drawn", [
+    ("maßstab Fläche é.tif", "massstab Flache e.tif"), ("−5 ± 2 × Łódź", "-5 +- 2 x Lodz"), ("план.tif", "????.tif"),
+])  # fmt: skip
+def test_letters_that_the_font_lacks_are_spelt_with_others(name, drawn):
+    """They were empty boxes."""
+    assert in_ascii(name) == drawn
+    one, other = (np.zeros((40, 400, 3), np.uint8) for _ in range(2))
+    write_on(one, (5, 30), name, 20, (255, 255, 255))
+    write_on(other, (5, 30), drawn, 20, (255, 255, 255))
+    assert one.any() and (one == other).all()
 
 
 @pytest.mark.parametrize("place", [(40.3, 30.6), (-5.0, 20.0), (150.0, 58.5), (70.0, 3.0), (300.0, 20.0)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from functools import cache
 from math import ceil, floor
 from typing import Any
@@ -13,7 +14,18 @@ BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 HALO = 0.13  # width of a halo, as a share of the letters' size
 
 
+# Pillow's own letters, which are the same on every computer, are those of ASCII: others would be empty boxes.
+_SPELT = str.maketrans({
+    "ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "đ": "d", "Đ": "D", "ł": "l", "Ł": "L",
+    "ı": "i", "þ": "th", "Þ": "Th", "ð": "d", "−": "-", "–": "-", "—": "-", "×": "x", "±": "+-", "’": "'",
+})  # fmt: skip
 _RULED = ImageDraw.Draw(Image.new("RGB", (1, 1)))  # on which texts are measured
+
+
+def in_ascii(text: str) -> str:
+    """`text` in the letters that can be drawn: without accents, and with a question mark for what has no like."""
+    bare = unicodedata.normalize("NFKD", text.translate(_SPELT))
+    return "".join(c for c in bare if not unicodedata.combining(c)).encode("ascii", "replace").decode()
 
 
 @cache
@@ -31,6 +43,7 @@ def write_on(
     anchor: str = "ls",
 ) -> None:
     """Draw `text` into `image` (h, w, 3) uint8 RGB, `size` px high, with its `anchor` (Pillow's) at `place` [px]."""
+    text = in_ascii(text)
     width = max(1, round(HALO * size)) if halo is not None else 0
     left, top, right, bottom = _RULED.textbbox(place, text, _font(size), anchor=anchor, stroke_width=width)
     x, y = max(0, floor(left) - 1), max(0, floor(top) - 1)
@@ -52,4 +65,4 @@ def write_on(
 
 def text_width(text: str, size: int) -> float:
     """Width of `text` [px] in letters `size` px high."""
-    return float(_font(size).getlength(text))
+    return float(_font(size).getlength(in_ascii(text)))
