@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
@@ -22,6 +22,7 @@ OTHER_NAMES = {
     "wales": "GB",
     "great britain": "GB",
     "britain": "GB",
+    "europe": "EU",
     "holland": "NL",
     "turkey": "TR",
     "czech republic": "CZ",
@@ -129,9 +130,11 @@ def _of_two(first: str, second: str) -> str | None:
     return country_code(first) if re.search(r"\bof( the)?$", more) else None
 
 
-def nearest_names(text: str) -> list[str]:
-    """Up to five names that begin with `text` or are spelled like it, with their codes, such as ``germany (DE)``."""
-    names, wanted = _names(), _plain(text)
+def nearest_names(text: str, known: Callable[[str], bool]) -> list[str]:
+    """Up to five names that begin with `text` or are spelled like it, with their codes, such as ``germany (DE)``; of
+    codes that are `known`: a language has names for more."""
+    wanted = _plain(text)
+    names = {name: code for name, code in _names().items() if known(code)}
     words = [name for name in names if len(name) > 3]  # codes that differ in a letter are other countries'
     begun = [name for name in words if name.startswith(wanted + " ")]
     near = dict.fromkeys([*begun, *get_close_matches(wanted, words, n=5, cutoff=0.7)])

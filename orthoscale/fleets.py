@@ -88,7 +88,7 @@ def _of_country(text: str) -> Fleet:
         return _row(code)
     if code in _document()["parts"]:
         return _part(code)
-    if code not in _document()["fallback"]:
+    if not _has_fleet(code):
         raise _unknown(text)
     stand_in = _document()["fallback"][code]
     fleet = _row(stand_in)
@@ -100,10 +100,15 @@ def _of_country(text: str) -> Fleet:
     return _with_three_wheelers(replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more)))
 
 
+def _has_fleet(code: str) -> bool:
+    """Whether there is a fleet of the country, or the part of one, with that code."""
+    return code in fleet_codes() or code in _document()["parts"] or code in _document()["fallback"]
+
+
 def _unknown(text: str) -> UsageError:
     from .countries import are_several, nearest_names
 
-    near = nearest_names(text)
+    near = nearest_names(text, _has_fleet)
     hint = f"Did you mean {', '.join(near)}? " if near else ""
     if text.lower().endswith(".csv"):
         hint = "`orthoscale fleets --registrations` makes a fleet of a register. "

@@ -1,6 +1,7 @@
 """Fleets: the table, its samples, files of one's own."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -155,6 +156,19 @@ def test_a_misspelt_country_is_refused_with_the_nearest_names():
     with pytest.raises(UsageError) as caught:
         load_fleet("AQ")
     assert "Did you mean" not in caught.value.hint, "it is what was asked for"
+
+
+@pytest.mark.parametrize("text", ["Eurozon", "Germny", "Congo", "Antarctic", "United Nation", "Texs", "Bouvet Ilands"])
+def test_what_a_hint_proposes_is_taken(text):
+    """``Europe`` was answered with ``eurozone (EZ)``, of which there is no fleet either."""
+    with pytest.raises(UsageError) as caught:
+        load_fleet(text)
+    for code in re.findall(r"\((\w+)\)", caught.value.hint):
+        assert load_fleet(code).code
+
+
+def test_europe_is_a_fleet():
+    assert load_fleet("Europe").code == load_fleet("European Union").code == "EU"
 
 
 @pytest.mark.parametrize("several", ["US,CA", "US; DE", "DE/FR", "CA,US", "US,DE"])
