@@ -232,6 +232,14 @@ def test_the_copy_says_how_well_its_scale_is_known(everything, boxes):
         assert raster.tags()["ORTHOSCALE_SCALE"] == said, "that of the last"
 
 
+def test_that_a_copy_agrees_with_its_own_scale_is_no_confirmation(everything, boxes):
+    """`check` said that it agrees, at 0.0 sigma, and nothing else where the copy kept its place."""
+    said = [r.text for r in orthoscale.check(everything[0] / "out.tif", detections=boxes, fleet="DE").result.remarks]
+    assert any("vehicles that agree do not confirm" in text for text in said)
+    said = [r.text for r in everything[1].remarks]
+    assert not any("do not confirm" in text for text in said)
+
+
 def test_the_scale_file_begins_with_the_scale(everything):
     folder, result = everything
     assert float((folder / "out.tif.scale.txt").read_text().split()[0]) == result.scale.value

@@ -17,7 +17,7 @@ from ..formats.vector import write_layer
 from .anchors import entries, write_anchor_layer
 from .result import Result
 
-# Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
+# Used green, others red; what a QGIS layer loads as its default style from the table layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis styleCategories="Symbology">
  <renderer-v2 type="categorizedSymbol" attr="used" symbollevels="0" enableorderby="0" forceraster="0">

@@ -32,7 +32,7 @@ from .fingerprint import Stamp, another, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
-from .raster_copy import Original
+from .raster_copy import SCALE_TAG, Original
 from .raster_display import Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
@@ -99,6 +99,9 @@ class RasterSource:
                 f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "
                 "are those of the pixels as they are stored"
             )
+            self.notes.append(Remark(INFO, text))
+        if SCALE_TAG in dataset.tags():
+            text = "orthoscale gave it the scale that it has (by its metadata): vehicles that agree do not confirm that"
             self.notes.append(Remark(INFO, text))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
