@@ -125,6 +125,7 @@ def test_a_table_with_pitch_and_focal_length(folders):
         ("Image;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50;900;8.5;47.25"),  # as spreadsheets save it
         ("image, altitude_m, focal_px, longitude, latitude", "photos/000.jpg, 50, 900, 8.5, 47.25"),
         ("\ufeffimage\taltitude_m\tfocal_px\tlongitude\tlatitude", "photos/000.jpg\t50\t900\t8.5\t47.25"),
+        ("sep=;\r\nImage;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50;900;8.5;47.25"),
         # Of much of Europe: a comma for the point.
         ("Image;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50,000;900;8,500;47,250"),
         ("image\taltitude_m\tfocal_px\tlongitude\tlatitude", 'photos/000.jpg\t50,0\t"900"\t8,5\t47,250'),
@@ -274,6 +275,7 @@ def break_csv(text):
     [
         ("table", break_csv("image,height\na.jpg,5\n"), "no column altitude_m"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,high\n"), "line 2"),
+        ("table", break_csv("sep=,\nimage,altitude_m\nphotos/000.jpg,high\n"), "line 3"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
         ("table", break_csv("image,altitude_m,focal_px\nphotos/000.jpg,50,5,900\n"), "line 2: has more cells than the"),
         ("table", break_csv('image,altitude_m\nphotos/000.jpg,"50,5"\n'), "line 2: altitude_m is '50,5', not a number"),

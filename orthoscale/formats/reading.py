@@ -30,6 +30,7 @@ NOT_FETCHED = "Only files on this computer are read: download or unpack it, and 
 # How addresses begin, GDAL's names of what is within a file, and its folders that are on no disk.
 _NO_FILE = re.compile(r"[A-Za-z][\w+.-]+:|/vsi\w+/")
 
+_FOR_EXCEL = re.compile(r"\A\s*sep=.?(?=[\r\n])", re.IGNORECASE)  # a first line that tells Excel where columns end
 DECIMAL_COMMAS = (
     "Write numbers with a point (12.5). Decimal commas (12,5) are read where ; or tabs are between the columns, if no "
     "number in the table has a point."
@@ -167,7 +168,7 @@ def read_table(path: Path, hint: str = "") -> Table:
     """The lines of a CSV file, by the names of its columns in small letters, which stand in its first line that is not
     blank. Columns end at commas, semicolons or tabs, whichever that line has most of; where they do not end at commas,
     numbers may have decimal commas, and beside semicolons they can have no others. Raises InputError."""
-    text = read_text(path, hint)
+    text = _FOR_EXCEL.sub("", read_text(path, hint))
     lines = io.StringIO(text, newline="")
     head = next((line for line in lines if line.strip(",; \t\r\n")), "")
     delimiter = max(",;\t", key=head.count)
