@@ -240,6 +240,13 @@ def test_that_a_copy_agrees_with_its_own_scale_is_no_confirmation(everything, bo
     assert not any("do not confirm" in text for text in said)
 
 
+def test_what_printing_a_result_shows_are_all_its_remarks(everything):
+    """It was "none" where the command line had notes."""
+    _, result = everything
+    told = dict(result.brief())["remarks"]
+    assert result.remarks and told == f"{len(result.remarks)}, the first: {result.remarks[0].text}"
+
+
 def test_the_scale_file_begins_with_the_scale(everything):
     folder, result = everything
     assert float((folder / "out.tif.scale.txt").read_text().split()[0]) == result.scale.value

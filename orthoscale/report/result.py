@@ -43,7 +43,7 @@ class Result(MeasuredSource, Brief):
         """What printing it shows."""
         scale = self.scale
         rejected = sum(scale.rejected.values())
-        said = [remark.text for remark in scale.remarks]
+        said = [remark.text for remark in self.remarks]
         remarks = f"{len(said)}, the first: {said[0]}" if said else "none"
         return [
             *self.answer(),
