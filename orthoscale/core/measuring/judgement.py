@@ -77,9 +77,10 @@ def _modes(measured: Measurement) -> Judgement | None:
         return None
     (first, a), (second, b) = agreement.scales.items()
     what = f"{second.capitalize()} and {first} {'disagree' if agreement.contradicts else 'agree'}"
-    by_common = math.expm1(-agreement.difference)
+    # With the signs of the agreement's own sentence, which stands among the remarks.
+    by_common = math.expm1(agreement.difference)
     common = f", {signed(by_common)} by the {agreement.common} vehicles of both" if agreement.common else ""
-    detail = f"{first} gives {signed(a.value / b.value - 1)}{common} ({agreement.tension:.1f} sigma)"
+    detail = f"{second} gives {signed(b.value / a.value - 1)}{common} ({agreement.tension:.1f} sigma)"
     return Judgement(agreement.remark.severity if agreement.contradicts else SUPPORT, what, detail)
 
 
