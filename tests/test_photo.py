@@ -32,7 +32,7 @@ from orthoscale.photos import survey, tables
 from orthoscale.photos.folders import find_photos
 from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import PhotoGeometry, measure, open_photo
+from orthoscale.photos.measure import PhotoGeometry, _assembled, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth
@@ -544,6 +544,18 @@ def test_another_focal_length_is_of_the_same_lens(tmp_path, text):
     middle = np.array([before.principal_point_x, before.principal_point_y])
     assert after.img_from_cam(rays) - middle == pytest.approx(1.5 * (before.img_from_cam(rays) - middle))
     assert before.mean_focal_length() == pytest.approx(230), "the photo itself stays as it is"
+
+
+def test_what_follows_from_a_skewed_scale_is_skewed_alike(tmp_path, fleet):
+    """From straight above the scale of the nadir view and the GSD are one quantity, and have one interval."""
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-90.0)
+    got = measure([photo], detections_of({"a.jpg": boxes_in(view_from(-90))}), fleet)
+    skewed = replace(got.scale, interval90=(0.9 * got.scale.value, 1.4 * got.scale.value))
+    told = _assembled(photo, skewed, dict.fromkeys(("focal", "pitch"), np.zeros(2)), got.boxes, got.picture, 1.0)
+    assert told.gsd.value == pytest.approx(skewed.value)
+    assert (told.gsd.low, told.gsd.high) == pytest.approx(skewed.interval90, rel=1e-3)
+    assert told.altitude.high / told.altitude.value == pytest.approx(1.4, rel=0.05)
+    assert told.altitude.low / told.altitude.value == pytest.approx(0.9, rel=0.02)
 
 
 def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet, monkeypatch):

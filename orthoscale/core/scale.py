@@ -85,14 +85,18 @@ class Scale:
         """The same value with other `parts` of its uncertainty: the interval is wider or narrower by as much, the
         verdict never better than before."""
         changed = replace(self, parts=parts)
-        before, now = self.relative_sd, changed.relative_sd
-        if before > 0:
-            low, high = (self.value * (end / self.value) ** (now / before) for end in self.interval90)
-        else:
-            low, high = (self.value * np.exp(side * Z90 * now) for side in (-1, 1))
+        now = changed.relative_sd
         judged, doubted = self.support.judged(now), self.support.doubted
         word = worst(self.verdict, verdict(judged, self.tension > CHECK_LIMIT, self.conflict > 0, doubted))
-        return replace(changed, interval90=(float(low), float(high)), verdict=word)
+        return replace(changed, interval90=self.interval_of(self.value, now), verdict=word)
+
+    def interval_of(self, value: float, sd: float) -> tuple[float, float]:
+        """The 90 % interval of a `value` that follows from the scale, of relative one-sigma `sd`: as skewed as the
+        scale's own."""
+        if not self.relative_sd:
+            return float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd))
+        low, high = (value * (end / self.value) ** (sd / self.relative_sd) for end in self.interval90)
+        return float(low), float(high)
 
     def remarked(self, *remarks: Remark, at_best: str | None = None) -> Scale:
         """The same with these `remarks` added, and a verdict no better than `at_best`."""

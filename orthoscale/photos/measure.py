@@ -349,12 +349,13 @@ def _assembled(
     it, so their parts are added as they are before they are squared."""
     own = {name: -float(np.dot(scale.weights, s)) for name, s in shifts.items()}  # of the log scale
 
-    def sd(name: str, extra: float) -> float:
-        return float(np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2))
+    def following(value: float, name: str, extra: float) -> Measure:
+        sd = np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2)
+        return Measure(float(value), *scale.interval_of(value, float(sd)))
 
     above = scale.value * photo.lens.focal_px
-    altitude = Measure.log_normal(above, sd("focal", np.log1p(photo.lens.sd)))
+    altitude = following(above, "focal", np.log1p(photo.lens.sd))
     average, tilted = photo.gsd_from(above), photo.turned(RIGHT, photo.up_sd).gsd_from(above)
-    gsd = Measure.log_normal(average, sd("pitch", np.log(tilted / average)))
+    gsd = following(average, "pitch", np.log(tilted / average))
     footprint = gsd * photo.tags.width, gsd * photo.tags.height
     return PhotoScale(photo, scale, altitude, gsd, footprint, boxes, picture, overlap, shared=shifts)
