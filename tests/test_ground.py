@@ -67,6 +67,26 @@ def test_height_of_the_ground(terrain, strays):
     assert np.percentile(np.abs(error), 95) < 0.005
 
 
+@pytest.mark.parametrize(
+    "axes, shift, unit",
+    [([1, 2, 3], 0, 1), ([2, 3, 1], 0, 1), ([-2, 1, 3], 1e5, 1), ([-1, 3, 2], 0, 1e3), ([0, 0, 0], -1e5, 1e-2)],
+)
+def test_the_ground_goes_with_its_world(axes, shift, unit):
+    """Turned, shifted, in another unit and with its points in another order, it is the same ground."""
+    scene, random = Scene(hilly), np.random.default_rng(1)
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    if any(axes):
+        turn = np.eye(3)[np.abs(axes) - 1] * np.sign(axes)[:, None]
+    ground = Ground.fit(scene.points, scene.centres)
+    moved = Ground.fit(
+        *(unit * (some @ turn.T + shift) for some in (random.permutation(scene.points), scene.centres[::-1]))
+    )
+    expected = ground.height_above(scene.truth)
+    found = moved.height_above(unit * (scene.truth @ turn.T + shift)) / unit
+    assert np.abs(found - expected).max() < 1e-5 * ground.camera_height
+    assert moved.camera_height == pytest.approx(unit * ground.camera_height, rel=1e-6)
+
+
 @pytest.mark.parametrize("farthest", [3e2, 1e4, 1e7])
 def test_the_horizon_does_not_move_the_ground(farthest):
     """Oblique frames show it: a tenth of the points is up to 300, 10,000 or 1e7 camera heights away."""

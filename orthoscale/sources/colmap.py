@@ -123,8 +123,6 @@ class ColmapSource:
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
         centres = np.array([self.centre(name) for name in self.picture_names])
-        # Which points the fit draws depends on their order, and that is another one in each program's files.
-        points = points[np.lexsort(points.T)]
         return self._on_cloud(Ground.fit(points, centres), points, centres)
 
     def _on_cloud(self, sparse: Ground, points: np.ndarray, centres: np.ndarray) -> Ground:

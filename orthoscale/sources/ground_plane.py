@@ -13,6 +13,7 @@ TRIPLES = 1500  # of points, each of which proposes a plane
 THIN = 1e-3  # area of a triple, of that distance squared, below which it says nothing of a plane
 OVERLOOKED = 0.9  # share of the cameras that are above the ground, at least
 BEHIND = 0.5  # what a point below a plane counts against it, one on it counting 1 for it
+NO_WAY = 1e-6  # of a vector's length, in a plane, below which it has no direction there
 POINTS_FITTED = 10  # points near a plane from which it is fitted to them
 
 
@@ -28,7 +29,8 @@ def plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Gener
     """Rotation (3, 3) `plane_from_world` whose third row is up: the normal of the plane that most points lie on.
 
     Random triples of points propose planes (RANSAC). A plane counts only if nearly all cameras are on one side of it;
-    points in it count for it and points behind it against it, so that the ground wins over a roof or a canopy.
+    points in it count for it and points behind it against it, so that the ground wins over a roof or a canopy. The
+    other rows are turned by where the points lie from the cameras.
     """
     some = points[random.choice(len(points), min(len(points), 2000), replace=False)]
     few = centres[random.choice(len(centres), min(len(centres), 200), replace=False)]
@@ -65,6 +67,16 @@ def plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Gener
         normal = refined if refined @ normal > 0 else -refined
     if np.median((centres - middle) @ normal) <= band:
         raise no_ground()
-    aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    aside /= np.linalg.norm(aside)
+    aside = _aside(normal, points.mean(0) - centres.mean(0))
     return np.stack([aside, np.cross(normal, aside), normal])
+
+
+def _aside(normal: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    """(3,) unit vector in the plane of `normal`, as far as it can `towards` something of the scene's own.
+
+    The axes of the world are no direction to measure by: a sheet over them would be another one in a turned world.
+    """
+    along = towards - (towards @ normal) * normal
+    if not np.linalg.norm(along) > NO_WAY * np.linalg.norm(towards):
+        along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    return along / np.linalg.norm(along)
