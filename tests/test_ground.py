@@ -9,6 +9,7 @@ from scipy import sparse
 from orthoscale.errors import InputError, TooLittleEvidence
 from orthoscale.sources.ground import Ground
 from orthoscale.sources.ground_grid import variances
+from orthoscale.sources.ground_sheet import Sheet
 
 CAMERA_HEIGHT = 60.0  # [m], before the model's own unit
 SIZE = 200.0
@@ -85,6 +86,23 @@ def test_the_ground_goes_with_its_world(axes, shift, unit):
     found = moved.height_above(unit * (scene.truth @ turn.T + shift)) / unit
     assert np.abs(found - expected).max() < 1e-5 * ground.camera_height
     assert moved.camera_height == pytest.approx(unit * ground.camera_height, rel=1e-6)
+
+
+def test_ground_in_the_clearings_of_a_wood_does_not_depend_on_where_cells_end():
+    """The same sheet over axes that lie another way: a clearing is as wide as a cell of the first sheet, or less."""
+    random = np.random.default_rng(0)
+    xy = random.uniform(-120, 120, (5000, 2))
+    clearings = random.uniform(-120, 120, (60, 2))
+    bare = np.linalg.norm(xy[:, None] - clearings, axis=2).min(1) < 7.5
+    over = np.where(bare | (random.random(5000) > 0.97), 0, random.uniform(3, 8, 5000)) + random.normal(0, 0.1, 5000)
+    points, level = np.column_stack([xy, 0.03 * xy[:, 0] + over]), np.array([*np.ndindex(13, 13)]) * 15.0 - 90
+    centres = np.column_stack([(np.array([*np.ndindex(5, 5)]) - 2) * 40, np.full(25, CAMERA_HEIGHT)])
+    truth = np.column_stack([level, 0.03 * level[:, 0]])
+    for angle in np.radians([0, 15, 45]):
+        c, s = np.cos(angle), np.sin(angle)
+        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        error = Sheet.fit(points @ turn.T, centres @ turn.T, turn)[0].height_above(truth) / CAMERA_HEIGHT
+        assert np.abs(error).max() < 0.005
 
 
 @pytest.mark.parametrize("farthest", [3e2, 1e4, 1e7])
