@@ -65,12 +65,13 @@ class Sheet:
             raise no_ground()
         low, high = np.percentile(points[:, 2], [5, 60])
         height = np.median(centres[:, 2]) - low
+        points = points - (0, 0, low)  # in a map's coordinates heights are large, and digits would be lost on them
         # Stray points far outside would stretch the grid for nothing.
         left, right = np.percentile(points[:, :2], [1, 99], axis=0)
         margin = 0.1 * (right - left) + 0.1 * height
         left, right = left - margin, right + margin
         inside = ((points[:, :2] > left) & (points[:, :2] < right)).all(1)
-        points = points[inside & (np.abs(points[:, 2] - low) < 2 * height + (high - low))]
+        points = points[inside & (np.abs(points[:, 2]) < 2 * height + (high - low))]
         if len(points) < MIN_POINTS:
             raise no_ground()
 
@@ -96,7 +97,7 @@ class Sheet:
         if ground.sum() < max(MIN_SHARE * everything, MIN_POINTS // 2):
             raise no_ground()
 
-        surface = RectBivariateSpline(*grid.nodes, heights.reshape(grid.shape))
+        surface = RectBivariateSpline(*grid.nodes, heights.reshape(grid.shape) + low)
         doubt = _doubt(points[ground, :2], float(noise), left, right)
         return cls(plane_from_world, grid.corner, grid.spacing, grid.shape, surface, doubt), float(noise)
 
