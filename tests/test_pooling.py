@@ -302,6 +302,17 @@ def test_the_order_of_the_vehicles_does_not_matter():
     assert other.interval90 == pytest.approx(one.interval90, rel=1e-5)
 
 
+@pytest.mark.parametrize("unit", [1e-5, 1.37, 1e3])
+def test_the_unit_of_sizes_does_not_matter(unit):
+    """Nor do the last digits: which scales are tried does not depend on them."""
+    fleet, rng = load_fleet("JP"), np.random.default_rng([77, 17])
+    votes = scene(rng, fleet, 15, vans=0.05, false=0.05)
+    one, other = pool(votes, fleet, RULER, ""), replace(votes, size=unit * votes.size, pixel=unit * votes.pixel)
+    found = pool(other, fleet, RULER, "")
+    assert unit * found.value == pytest.approx(one.value, rel=1e-8)
+    assert unit * np.array(found.interval90) == pytest.approx(np.array(one.interval90), rel=1e-8)
+
+
 def test_nor_where_some_of_many_vehicles_tell_the_country():
     rng = np.random.default_rng(3)
     votes = scene(rng, load_fleet("DE"), 300)

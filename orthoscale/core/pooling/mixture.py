@@ -101,8 +101,9 @@ def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
 def _finer(problem: Problem, solved: Hypotheses) -> np.ndarray:
     """The grid of step FINE about those scales of a coarse one that are possible."""
     coarse = solved.unknown[solved.possible, :2] @ problem.weights
-    fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE, FINE)
-    return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE]
+    fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE + FINE, FINE)
+    # The outermost lie a coarse step away: the last digits, and so the unit of sizes, must not decide on them.
+    return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE + FINE / 100]
 
 
 def _fits(problem: Problem, solved: Hypotheses) -> Fits:
