@@ -54,6 +54,22 @@ def test_the_pitch_gives_the_scale(pitch, country, dims):
     assert 0.05 < found.relative_sd < 0.09
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_order_of_the_vehicles_does_not_matter(seed):
+    """Headings are read to a few degrees: seen from either of two vehicles the other stands elsewhere."""
+    rng = np.random.default_rng(seed)
+    place, along, size = car_park(rng)
+    turn = rng.normal(0, 0.06, len(place))
+    c, s = np.cos(turn), np.sin(turn)
+    along = np.stack([along[:, 0] * c - along[:, 1] * s, along[:, 0] * s + along[:, 1] * c], -1)
+    one = parking.parking_pitch(place, along, size, STALLS, "DE")
+    for order in (np.arange(len(place))[::-1], rng.permutation(len(place))):
+        other = parking.parking_pitch(place[order], along[order], size[order], STALLS, "DE")
+        assert other.anchor.count == one.anchor.count
+        assert other.units == pytest.approx(one.units, rel=1e-9)
+        assert other.relative_sd == pytest.approx(one.relative_sd, rel=1e-9)
+
+
 def test_the_pitch_is_known_as_well_as_rows_agree_on_it():
     found = [
         parking.parking_pitch(*car_park(np.random.default_rng(seed), 2.5, rows=8), STALLS, "DE") for seed in range(40)

@@ -139,10 +139,12 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
 def _side_by_side(
     i: np.ndarray, j: np.ndarray, place: np.ndarray, along: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the pairs (i, j) those, each once, that head alike and stand beside each other, and how far across [units]."""
+    """Of the pairs (i, j) those, each once, that head alike and stand beside each other, and how far across [units]:
+    as seen by both, along the middle of their headings, since which of them comes first is chance."""
     i, j = i[i < j], j[i < j]
     apart = place[j] - place[i]
-    ahead = (apart * along[i]).sum(1)
+    alike = (along[i] * along[j]).sum(1)
+    ahead = (apart * (along[i] + np.copysign(1.0, alike)[:, None] * along[j])).sum(1) / np.sqrt(2 + 2 * np.abs(alike))
     across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
-    beside = (np.abs((along[i] * along[j]).sum(1)) > PARALLEL) & (np.abs(ahead) < ASKEW * length)
+    beside = (np.abs(alike) > PARALLEL) & (np.abs(ahead) < ASKEW * length)
     return i[beside], j[beside], across[beside]
