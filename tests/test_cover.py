@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pycolmap
 import pytest
 from support.drawings import Drawing, RectangleDetector, car_park
 
@@ -48,10 +49,22 @@ def test_places_are_those_of_the_poses(flight):
     name = source.picture_names[0]
     pixel = np.array([[320.0, 240.0]])
     view, world, _ = source.views(name, pixel)
-    side = 0.25 * np.median(source.ground.height_above(np.array([source.centre(n) for n in source.picture_names])))
-    here = np.floor(source.ground.plane(world) / side).astype(int)
+    centres = np.array([source.centre(n) for n in source.picture_names])
+    side = 0.25 * np.median(source.ground.height_above(centres))
+    here = np.floor((source.ground.plane(world) - source.ground.plane(centres).mean(0)) / side).astype(int)
     steep = int(np.degrees(view.elevation[0]) >= NEAR_NADIR)
     assert [*here[0].tolist(), steep] in places[name].tolist()
+
+
+def test_frames_show_the_same_places_wherever_the_world_begins(flight, tmp_path):
+    model = pycolmap.Reconstruction(str(flight[0] / "sparse" / "0"))
+    expected, found = (), ()
+    for shift in ([0.0, 0.0, 0.0], [0.3, -0.7, 0.2]):
+        model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array(shift)))
+        model.write(str(tmp_path))
+        source = ColmapSource.open(tmp_path, need_images=False)
+        expected, found = found, [each.tolist() for each in places_seen(source, source.picture_names).values()]
+    assert found == expected
 
 
 @pytest.fixture(scope="module")

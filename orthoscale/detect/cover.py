@@ -67,12 +67,14 @@ def covering(places: Sequence[np.ndarray], views: int = ENOUGH_VIEWS) -> Cover:
 def places_seen(source: PosedSet, names: Sequence[str]) -> dict[str, np.ndarray]:
     """By the names of frames (K, 3) the places that each sees: column and row on the ground's plane, and whether (1) or
     not (0) from near the nadir. A place that is seen both ways is two of them."""
-    side = PLACE_SIDE * float(np.median(source.ground.height_above(np.array([source.centre(name) for name in names]))))
+    centres = np.array([source.centre(name) for name in names])
+    side = PLACE_SIDE * float(np.median(source.ground.height_above(centres)))
+    middle = source.ground.plane(centres).mean(0)  # not the origin, which may lie anywhere: it would choose the frames
     places = {}
     for name in names:
         x, y = (np.linspace(0.5, size - 0.5, n) for size, n in zip(source.image_size(name), ASKED_AT, strict=True))
         views, world, ok = source.views(name, np.stack(np.meshgrid(x, y), -1).reshape(-1, 2), LOWEST_ELEVATION)
-        place = np.floor(source.ground.plane(world[ok]) / side).astype(int)
+        place = np.floor((source.ground.plane(world[ok]) - middle) / side).astype(int)
         steep = views.elevation[ok] >= np.radians(NEAR_NADIR)
         places[name] = np.unique(np.column_stack([place, steep]), axis=0)
     return places
