@@ -207,3 +207,13 @@ def test_squares_of_regions_do_not_hide_each_other():
     assert apart[~np.eye(9, dtype=bool)].min() > 99.9, "the labels of one would cover the other's"
     far = np.array([[0.0, 0.0], [150.0, 0.0], [0.0, 150.0]])
     assert (side_by_side(far, 100.0) == far).all(), "what has room stays at its place"
+
+
+def test_a_bend_is_seen_as_well_far_from_the_origin():
+    """In a map's coordinates the terms of a bend are large numbers that hardly differ: none may be lost for that."""
+    rng = np.random.default_rng(0)
+    plan = rng.uniform(-150, 150, (200, 2))
+    stray = 0.12 * ((plan / 150) ** 2).sum(1) + rng.normal(0, 0.06, 200)
+    here, away = trend_of(stray, plan), trend_of(stray, plan + (5e5, 5e6))
+    assert away.bend_chance == pytest.approx(here.bend_chance, rel=1e-3)
+    assert away.chance == pytest.approx(here.chance, rel=1e-3)

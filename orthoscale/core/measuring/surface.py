@@ -55,7 +55,7 @@ class Cells:
             return np.bincount(cell, of) / count
 
         # What is left about the largest trend; boxes that are all alike would have none, and be infinitely sure.
-        terms = bowl(place, extent)
+        terms = bowl(place - low - extent / 2, extent)  # about their middle: far from it, they would look alike
         left = values - terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
         scatter = max(float(np.sqrt((left**2).sum() / max(len(left) - terms.shape[1], 1))), SCATTER)
         centre = low + (np.column_stack([which % number[0], which // number[0]]) + 0.5) * size
