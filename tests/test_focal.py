@@ -10,6 +10,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.geometry import larger_by
 from orthoscale.core.projection.exact import ground_size
 from orthoscale.core.projection.level import level_views, up_from_gimbal
+from orthoscale.sources import focal
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.focal import SYSTEMATIC, focal_doubt, focal_sd
 from orthoscale.synthetic import make_scene, write_colmap
@@ -53,6 +54,28 @@ def test_what_the_normal_equations_say_is_what_adjustment_does(suburb, tmp_path)
         said.append(focal_sd(model))
         found.append(np.log(model.cameras[1].mean_focal_length() / 900))
     assert 0.4 < np.sqrt(np.mean(np.square(found))) / np.mean(said) < 2.5
+
+
+def test_the_numbers_of_images_and_points_do_not_matter(suburb, tmp_path, monkeypatch):
+    """Not even where only some of many tracks that are equally long are used, and some views of each."""
+    monkeypatch.setattr(focal, "MOST_TRACKS", 150)
+    monkeypatch.setattr(focal, "MOST_VIEWS", 4)
+    monkeypatch.setattr(focal, "MOST_IMAGES", 9)
+    model = block(suburb, tmp_path, 70)
+    model.write_text(str(tmp_path))
+    images, points = ((tmp_path / name).read_text().splitlines() for name in ("images.txt", "points3D.txt"))
+    images, points = ([line.split() for line in lines if line[:1] != "#"] for lines in (images, points))
+    for pose, seen in zip(images[::2], images[1::2], strict=True):
+        pose[0] = str(100 - int(pose[0]))
+        seen[2::3] = [each if each == "-1" else str(10**6 - int(each)) for each in seen[2::3]]
+    for point in points:
+        point[0], point[8::2] = str(10**6 - int(point[0])), [str(100 - int(each)) for each in point[8::2]]
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "cameras.txt").write_bytes((tmp_path / "cameras.txt").read_bytes())
+    (other / "images.txt").write_text("".join(" ".join(line) + "\n" for line in images))
+    (other / "points3D.txt").write_text("".join(" ".join(line) + "\n" for line in points))
+    assert focal_sd(pycolmap.Reconstruction(str(other))) == pytest.approx(focal_sd(model), rel=1e-6)
 
 
 def test_too_few_tracks_say_nothing():

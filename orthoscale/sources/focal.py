@@ -8,7 +8,8 @@ information on the focal length (Schur complement; Triggs et al., Bundle Adjustm
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -105,17 +106,18 @@ def focal_sd(model: pycolmap.Reconstruction) -> float | None:
 
     All its cameras are taken for one with radial distortion, adjusted with poses and points.
     """
-    numbers = sorted(model.reg_image_ids())
+    # By names and by the order of what images saw: the numbers of images and points are another program's others.
+    numbers = sorted(model.reg_image_ids(), key=lambda number: model.image(number).name)
     if not numbers:
         return None
+    rank = {number: k for k, number in enumerate(numbers)}
     numbers = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_IMAGES).astype(int))]
     column = {number: k for k, number in enumerate(numbers)}
-    points = sorted(model.points3D.values(), key=lambda point: -point.track.length())
     tracks = []
-    for point in points:
+    for point in _longest_first(model.points3D.values(), rank):
         images = {element.image_id for element in point.track.elements} & column.keys()
         if len(images) >= 3:
-            views = sorted(images)[:: -(-len(images) // MOST_VIEWS)]
+            views = sorted(images, key=rank.__getitem__)[:: -(-len(images) // MOST_VIEWS)]
             tracks.append((np.array(point.xyz), views, max(float(point.error), LEAST_PX)))
         if len(tracks) == MOST_TRACKS:
             break
@@ -126,6 +128,17 @@ def focal_sd(model: pycolmap.Reconstruction) -> float | None:
     shift = np.array([poses[number].translation for number in numbers])
     focal = np.array([model.camera(model.image(number).camera_id).mean_focal_length() for number in numbers])
     return _sd(tracks, column, rotation, shift, focal)
+
+
+def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:
+    """Points with long tracks before those with short ones; of equally long ones in the order of the smallest number
+    that one has among the points of an image, and of the `rank` of that image."""
+
+    def first_view(point: pycolmap.Point3D) -> tuple[int, int]:
+        return min(((e.point2D_idx, rank.get(e.image_id, len(rank))) for e in point.track.elements), default=(0, 0))
+
+    for _, alike in groupby(sorted(points, key=lambda p: -p.track.length()), lambda p: p.track.length()):
+        yield from sorted(alike, key=first_view)
 
 
 def _sd(
