@@ -20,8 +20,8 @@ from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.formats.geometry.files import scale_file
 from orthoscale.requests import FixRequest
+from orthoscale.sources import ground, ground_plane
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.ground import Ground
 from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.opening import open_source
 
@@ -286,12 +286,14 @@ def scales_of(model, boxes):
 
 
 def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_path, monkeypatch):
-    """Which points the fit draws follows from their order."""
+    """Which points and cameras the fit draws follows from their order."""
     model, _ = made
     path = opensfm(model, tmp_path)
     (part,) = json.loads(path.read_text())
     asked = []
-    monkeypatch.setattr(Ground, "fit", lambda *given: asked.append(given))
+    monkeypatch.setattr(
+        ground, "plane_below", lambda *given: asked.append(given[:2]) or ground_plane.plane_below(*given)
+    )
     for turn in (1, -1):
         points, shots = (dict(list(part[what].items())[::turn]) for what in ("points", "shots"))
         path.write_text(json.dumps([{**part, "points": points, "shots": shots}]))

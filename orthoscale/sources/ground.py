@@ -38,8 +38,8 @@ class Ground:
         """Find the ground under `points` (M, 3) seen from `camera_centres` (C, 3).
 
         Points on trees, roofs, walls and vehicles, and outliers on either side, are separated from the ground by the
-        surface's stiffness and by the side on which the cameras are. The result is reproducible, whatever the points'
-        order, and goes with the world when that is turned, shifted or scaled. Raises TooLittleEvidence for too few
+        surface's stiffness and by the side on which the cameras are. The result is reproducible, whatever the order
+        of both, and goes with the world when that is turned, shifted or scaled. Raises TooLittleEvidence for too few
         points, InputError if no surface lies below the cameras.
         """
         points, centres = _finite(points), _finite(camera_centres)
@@ -48,7 +48,8 @@ class Ground:
                 f"{len(points)} points and {len(centres)} cameras are too few to find the ground",
                 f"At least {MIN_POINTS} points are needed: reconstruct with more images or more overlap.",
             )
-        points = points[_order(points, centres)]
+        middle = centres.mean(0)
+        points, centres = points[_order(points, middle)], centres[_order(centres, middle)]
         random = np.random.default_rng(0)
         if len(points) > MAX_POINTS:
             points = points[random.choice(len(points), MAX_POINTS, replace=False)]
@@ -94,11 +95,10 @@ class Ground:
         return self._sheet.intersect(origins, directions, self.camera_height)
 
 
-def _order(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """(M,) the order in which points are drawn from: that in the files is another one in each program's, and that of
-    coordinates another one in a turned world; how far they lie from the cameras' middle stays."""
-    away = np.linalg.norm(points - centres.mean(0), axis=1)
-    return np.lexsort((*points.T, away))
+def _order(xyz: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """(M,) the order in which points or cameras are drawn from: that in the files is another one in each program's, and
+    that of coordinates another one in a turned world; how far they lie from the `middle` of the cameras stays."""
+    return np.lexsort((*xyz.T, np.linalg.norm(xyz - middle, axis=1)))
 
 
 def _finite(xyz: np.ndarray) -> np.ndarray:
