@@ -29,6 +29,7 @@ OUT = HERE / "report"
 DESK, PHONE = (860, 700), (360, 640)
 FRONT = (1200, 850)  # of the README's picture [px]
 MIN_PANEL = 200  # rows of pictures in vehicles.png; titles and single vehicles have fewer from one gap to the next
+HEADS = ("town", "stretched")  # reports whose head is shown
 SECTIONS = {  # picture: report, and the heading of its section
     "vehicles": ("sheffield", "Are these the vehicles?"),
     "sizes": ("sheffield", "Do they have the sizes of the fleet?"),
@@ -104,7 +105,7 @@ def main() -> None:
         paths = reports(Path(folder), options.data)
         front_page(Path(folder) / "sheffield" / "vehicles.png", HERE / "sheffield.png")
         with pages(paths) as opened:
-            for name in opened:
+            for name in HEADS:
                 opened[name].locator("header").screenshot(path=OUT / f"{name}.png")
             for name, (report, heading) in SECTIONS.items():
                 part = opened[report].locator("section", has_text=heading)

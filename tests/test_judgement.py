@@ -92,7 +92,7 @@ def test_the_larger_of_two_scales_is_larger_by_what_is_said(ratio, said):
 def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(measured):
     checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
     (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]
-    assert check.severity == INFO and check.detail == "lengths give −30.0 % (0.1 sigma)"
+    assert check.severity == INFO and check.detail == "lengths give −30.0 % against widths (0.1 sigma)"
 
 
 def test_no_sampling_error_is_made_up_in_a_conflict(measured):

@@ -60,7 +60,7 @@ def _shapes(measured: Measurement) -> Judgement | None:
     if "length" not in scale.checks:
         return None  # no vehicles
     difference = scale.checks["length"] / scale.checks["width"] - 1
-    detail = f"lengths give {signed(difference)} ({scale.tension:.1f} sigma)"
+    detail = f"lengths give {signed(difference)} against widths ({scale.tension:.1f} sigma)"
     if scale.tension > CHECK_LIMIT:
         severity = REFUSAL if scale.tension > SHAPE_LIMIT else CAUTION
         return Judgement(severity, "Lengths and widths disagree", detail)
