@@ -26,10 +26,17 @@ def add_card(onnx_file: Path, card: dict, out: Path) -> None:
 
 
 def with_card(onnx_file: Path, card: dict, out: Path) -> None:
-    """Copy `onnx_file` to `out` with `card` as its metadata entry ``orthoscale``."""
+    """Copy `onnx_file` to `out` with `card` as its metadata entry ``orthoscale``.
+
+    It names only those sets of operators that it uses: onnxruntime's tools name all that they know, and its older
+    versions refuse what they do not know.
+    """
     import onnx
 
     model = onnx.load(onnx_file)
+    used = {node.domain for node in model.graph.node}
+    for unused in [opset for opset in model.opset_import if opset.domain not in used]:
+        model.opset_import.remove(unused)
     del model.metadata_props[:]
     entry = model.metadata_props.add()
     entry.key, entry.value = "orthoscale", json.dumps(card)
