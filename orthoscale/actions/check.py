@@ -89,8 +89,6 @@ def checked(
     result = measured(source, request, progress, told, alone)
     found = comparisons(result)
     if source.posed is not None and not found and not source.metric_already:
-        if (disagreement := result.disagreement) is not None:
-            raise disagreement
         result.require_useful()
         scale = result.scale
         by = f"{scale.text()}, 90 % {scale.text(*scale.interval90)}"
@@ -101,9 +99,9 @@ def checked(
 def require_claim(source: Source) -> None:
     """Raise UsageError where `source` claims no scale that could be compared. Of a reconstruction only its scale tells
     whether its unit looks like a metre."""
-    claimed = source.claimed
     if source.posed is not None:
         return
+    claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
         raise UsageError(f"{source.path} claims no scale{why}", f"{FIND_IT}.")

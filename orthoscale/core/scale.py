@@ -33,7 +33,8 @@ class Scale:
     value : metres per pixel of an orthophoto, or per unit of a model.
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
-        drift. by_vehicles : the same of the vehicles alone, before other evidence; empty where that is `parts`.
+        drift.
+    by_vehicles : `parts` of what the vehicles alone say, before other evidence; empty where these are the same.
     checks : the scale from lengths alone, from widths alone and, where these differ, from length minus width
         (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.

@@ -18,7 +18,7 @@ from .ground import has_data
 FEATURE_TILE = 96  # [cells] side of what is described at once
 GRID_STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
 # What decides over a map's features:
-FEATURE_CODE = ("locate/maps.py", "locate/features.py", "locate/ground.py", "sources/satellite.py", *RASTER_CODE)
+FEATURE_CODE = ("locate/maps.py", "locate/features.py", "locate/ground.py", *RASTER_CODE)
 IN_MEMORY = 64  # tiles; with 64 channels 75 MB
 SAMPLED_TILES = 24  # tiles that tell what is usual on a map
 
