@@ -222,7 +222,7 @@ class EstimateRequest(VehicleRequest):
         None,
         str,
         "Detector",
-        "Network that measures again the vehicles seen from above: 'built-in', 'none' or an .onnx file. Default: "
+        "Network that measures the found vehicles again: 'built-in', 'none' or an .onnx file. Default: "
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
         is_file=_is_no_word,
         metavar="NAME",
@@ -326,8 +326,6 @@ class EstimateRequest(VehicleRequest):
         super().__post_init__()
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
-        if self.mode == "oblique":
-            self._refuse(("measurer",), "--mode oblique measures nothing from above")
         if self.calibration is not None and self.measures is not None:
             raise UsageError(
                 "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."

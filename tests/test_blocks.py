@@ -12,7 +12,7 @@ from support.blocks import Conditions, fly
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
-from orthoscale.core.measuring.oblique import shown_in_frames
+from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source, united
@@ -61,7 +61,7 @@ def test_vehicles_beyond_the_points_count():
     assert measured.scale.value == pytest.approx(block.metres_per_unit, rel=0.03)
     sheet = fewer.ground.sd(measured.votes.place)
     assert sheet.max() > 2 * np.median(sheet), "no vehicle stands beyond the points"
-    assert measured.votes.ground.max() * fewer.camera_height < sheet.max(), "their parallax knows better"
+    assert measured.votes.lasting[:, 0].max() * fewer.camera_height < sheet.max(), "their parallax knows better"
 
 
 def way(size, place, noise):
@@ -195,17 +195,20 @@ def test_what_a_picture_of_the_ground_enlarges_does_not_count():
         assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
 
 
-def test_how_far_up_boxes_of_ground_pictures_reach_is_known_to_half_a_metre():
-    """By what half a metre more changes the sizes of boxes away from the nadir, where it changes them at all."""
+def test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly():
+    """By what one sigma of the height more changes the sizes of boxes away from the nadir, at least is claimed."""
     block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=40), unsure=False)
     above = block.found.planar
     plain = SweepGeometry.of(block.source, above)
-    far = np.linalg.norm(plain.offset, axis=1) > np.median(np.linalg.norm(plain.offset, axis=1))
-    plain = replace(plain, **{k: getattr(plain, k)[far] for k in ("boxes", "flat", "offset", "camera")})
-    raised = replace(plain, found=replace(above, effective_height=tuple(h + 0.5 for h in above.effective_height)))
-    seen, less = (g.observe(block.metres_per_unit) for g in (plain, raised))
+    raised = replace(above, effective_height=tuple(h + HEIGHT_SD for h in above.effective_height))
+    seen, less = (g.observe(block.metres_per_unit) for g in (plain, replace(plain, found=raised)))
     told = np.sqrt(np.diag(Systematic(np.zeros(2), {k: seen.systematic.shared[k] for k in (ENDS, SIDES)}).covariance))
-    assert told == pytest.approx(-np.log(less.size / seen.size).mean(0), rel=0.35)
+    change = -np.median(np.log(less.size / seen.size), axis=0)
+    assert (told >= 0.8 * change).all() and change[1] > 0.001 and told[0] > 0.002
+    away = np.linalg.norm(plain.offset, axis=1)
+    steep, flat = away < np.quantile(away, 0.2), away > np.quantile(away, 0.7)
+    lasting = np.hypot(*seen.lasting.T)
+    assert lasting[steep].max() < np.median(lasting[flat]), "steep views are surer"
 
 
 class _With:

@@ -251,18 +251,21 @@ def corners_at(level, **body):
 
 
 def test_the_body_of_a_car_in_metres():
-    """Full footprint up to the belt line, corners cut by 0.23 m; the roof drawn in by 1.35, 0.54 and 0.18 m."""
-    low = {(x, y) for x in (2.25, -2.25) for y in (0.666, -0.666)} | {
-        (x, y) for x in (2.006, -2.006) for y in (0.9, -0.9)
-    }
-    assert corners_at(0.0, height=1.5) == corners_at(0.85, height=1.5) == low
-    roof = {(x, y) for x in (0.9, -1.71) for y in (0.486, -0.486)}
-    roof |= {(x, y) for x in (0.656, -1.466) for y in (0.72, -0.72)}
-    assert corners_at(1.5, height=1.5) == roof
+    """Full footprint up to the bumpers, corners cut by 0.45 m; from there ends lean in by 0.45 m for each metre. The
+    roof is drawn in by 1.35, 0.54 and 0.18 m besides."""
+
+    def ring(front, rear, side):
+        points = [(x, y) for x in (front, rear) for y in (side - 0.45, 0.45 - side)]
+        points += [(x, y) for x in (front - 0.46875, rear + 0.46875) for y in (side, -side)]
+        return {tuple(np.round(p, 3)) for p in points}
+
+    assert corners_at(0.0, height=1.5) == corners_at(0.4, height=1.5) == ring(2.25, -2.25, 0.9)
+    assert corners_at(0.85, height=1.5) == ring(2.0475, -2.0475, 0.9)
+    assert corners_at(1.5, height=1.5) == ring(0.405, -1.215, 0.72)
 
 
 def test_walls_that_lean_do_so_from_the_bumpers_up():
-    plan, heights = Hull(height=0.8, end_lean=0.1).outline()
+    plan, heights = Hull(height=0.8).outline()
     front = {round(float(h), 3): float(plan[np.isclose(heights, h), 0].max()) for h in np.unique(heights)}
     assert front == pytest.approx({0.0: 0.5, 0.4: 0.5, 0.8: 0.46})
 

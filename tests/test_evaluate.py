@@ -163,7 +163,7 @@ def measured(folders, name):
 
 @pytest.mark.parametrize("name, worst", [("dense", 1.0), ("visloc", 1.0), ("table", 1.5)])
 def test_true_boxes_give_true_altitudes(folders, name, worst):
-    """Boxes of rectangles 0.8 m high, measured as a hull with rounded corners: a per cent or so is left."""
+    """Boxes of rectangles 0.8 m high, measured as such: what is left is the fleet's."""
     rows = score(*measured(folders, name))
     got = summary(rows, "exact")
     assert got["used_ratio"] == 1 and got["in_interval"] == 1

@@ -38,9 +38,10 @@ def test_both_looks_agree_and_are_pooled(measured):
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
     assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1].text
-    for name in ("sampling", "fleet", "margin"):  # of the geometry each look has errors of its own
-        part = measured.scale.parts[name]
-        assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, f"{name} got narrower"
+    modes = measured.agreement.scales.values()
+    # Of the geometry each look has errors of its own, and one or the other sees a vehicle from steeper above.
+    for name, left in (("sampling", 0.9), ("fleet", 1), ("margin", 1)):
+        assert measured.scale.parts[name] >= left * min(s.parts[name] for s in modes) - 1e-12, f"{name} got narrower"
 
 
 @pytest.mark.slow

@@ -487,7 +487,7 @@ def test_boxes_too_thin_for_a_higher_body_are_too_little_evidence(tmp_path, flee
     views, _ = photo.views(centre, ALTITUDE)
     sides = np.stack([np.full(10, 4.5), 1.5 * np.sin(views.elevation)], -1) / views.unit_per_pixel[:, None]
     boxes = Boxes(np.column_stack([centre, sides, np.zeros(10)]), np.ones(10))
-    with pytest.raises(TooLittleEvidence, match="shape of vehicles"):
+    with pytest.raises(TooLittleEvidence, match="that a vehicle explains"):
         measure([photo], detections_of({"a.jpg": boxes}), fleet)
 
 

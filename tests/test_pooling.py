@@ -405,9 +405,9 @@ def test_too_few_vehicles_are_refused(n):
 def test_the_noise_of_a_vote_is_its_boxes_and_its_grounds():
     """Views lessen the one and not the other."""
     votes = scene(np.random.default_rng(0), load_fleet("DE"), 9)
-    votes = replace(votes, views=np.full(9, 400), ground=np.full(9, 0.03))
+    votes = replace(votes, views=np.full(9, 400), lasting=np.full((9, 2), [0.03, 0.02]))
     of_boxes = 1.2533 * np.array(RULER.noise) / 20
-    assert vote_noise(votes, RULER) == pytest.approx(np.hypot(of_boxes, 0.03 * votes.size), rel=0.001)
+    assert vote_noise(votes, RULER) == pytest.approx(np.hypot(of_boxes, [0.03, 0.02] * votes.size), rel=0.001)
 
 
 @pytest.mark.parametrize("views", [1, 2, 3, 5, 12])

@@ -135,8 +135,8 @@ def test_a_second_run_looks_at_nothing_again(tmp_path, monkeypatch):
     assert other.looks == len(truth)
 
 
-def test_in_a_model_only_what_is_seen_from_above_is_measured(monkeypatch):
-    """Boxes in frames stay the detector's; by default, with the detector's own boxes, and not with a calibration."""
+def test_in_a_model_frames_and_ground_pictures_are_measured(monkeypatch):
+    """Each in their own pixels; by default, with the detector's own boxes, and not with a calibration."""
     truth = car_park(20, 1200, 900, 30)
     picture = Drawing(1200, 900, truth)
     picture.frame = picture
@@ -144,11 +144,10 @@ def test_in_a_model_only_what_is_seen_from_above_is_measured(monkeypatch):
     seen = found(proposed(truth))
     model = SimpleNamespace(pictures=[picture], posed=SimpleNamespace(ground_pictures=[picture], path="model"))
     got = find.measured_anew(model, replace(seen, planar=seen), EstimateRequest(), QUIET)
-    assert (got.boxes["drawing"].xylwa == seen.boxes["drawing"].xylwa).all() and got.ruler == UNKNOWN_RULER
-    assert got.planar.boxes["drawing"].xylwa == pytest.approx(truth.xylwa)
-    assert find.measured_anew(model, seen, EstimateRequest(), QUIET) is seen, "nothing is seen from above"
-    with pytest.raises(UsageError, match="boxes in frames only"):
-        find.measured_anew(model, seen, EstimateRequest(detections="b.json", measurer="built-in"), QUIET)
+    for found_so in (got, got.planar, find.measured_anew(model, seen, EstimateRequest(), QUIET)):
+        assert found_so.boxes["drawing"].xylwa == pytest.approx(truth.xylwa) and found_so.ruler != UNKNOWN_RULER
+    only = find.measured_anew(model, replace(seen, boxes={}, planar=seen), EstimateRequest(), QUIET)
+    assert not len(only) and only.planar.boxes["drawing"].xylwa == pytest.approx(truth.xylwa)
 
     ortho = SimpleNamespace(pictures=[picture], posed=None)
     for options, measures in (

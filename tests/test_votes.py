@@ -7,7 +7,7 @@ import pytest
 
 from orthoscale.core.pooling.robust import OF_THE_VEHICLE, vote_noise
 from orthoscale.core.ruler import Ruler
-from orthoscale.core.votes import Sightings, gather
+from orthoscale.core.votes import USUAL_NOISE, Sightings, gather
 
 
 def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():
@@ -86,11 +86,25 @@ def test_of_three_groups_in_a_row_the_two_that_are_nearest_to_each_other_are_one
 def test_a_vote_is_what_its_views_say_together():
     """Of sizes the middle in logarithms, of noises the root of the mean square, of scores the best."""
     size, sigma = np.array([[4.0, 1.6], [4.84, 2.5]]), np.array([[0.03, 0.04], [0.05, 0.08]])
-    score, ground = np.array([0.6, 0.9]), np.array([0.01, 0.03])
-    vote = gather(Sightings(size, np.array([0.1, 0.2]), np.zeros((2, 3)), score, sigma, ground=ground), True)
+    vote = gather(Sightings(size, np.array([0.1, 0.2]), np.zeros((2, 3)), np.array([0.6, 0.9]), sigma), True)
     assert vote.size == pytest.approx(np.array([[4.4, 2.0]])) and vote.score.tolist() == [0.9]
     assert vote.sigma == pytest.approx(np.sqrt([[0.0017, 0.004]]))
-    assert (vote.pixel[0], vote.ground[0], vote.views[0]) == pytest.approx((0.15, 0.02, 2))
+    assert (vote.pixel[0], vote.views[0], vote.lasting) == (pytest.approx(0.15), 2, None)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_views_count_by_what_is_known_of_each(told):
+    """A steep view and two flat ones, of one sigma each: the steep one has nine tenths of the weight in widths, where
+    the flat ones are unsure of their height, and a third in lengths."""
+    size = np.array([[4.5, 1.8], [4.5, 2.2], [4.5, 2.3]])
+    sigma = np.full((3, 2), 0.03 if told else np.nan)
+    noise = 0.03 if told else USUAL_NOISE
+    lasting = noise * np.sqrt([[0.0, 0.0], [0.0, 17.0], [0.0, 17.0]])
+    vote = gather(Sightings(size, np.ones(3), np.zeros((3, 3)), np.ones(3), sigma, lasting=lasting), True)
+    assert vote.size[0] == pytest.approx([4.5, 1.8 * (2.2 / 1.8) ** (0.05 / 0.475)])
+    assert vote.lasting[0] == pytest.approx([0.0, noise * np.sqrt(0.1 * 17)])
+    alike = gather(Sightings(size, np.ones(3), np.zeros((3, 3)), np.ones(3), sigma, lasting=0 * lasting), True)
+    assert alike.size[0] == pytest.approx([4.5, 2.2]), "with equal weights it is the median"
 
 
 def test_how_often_vehicles_are_seen_is_that_of_most_boxes():

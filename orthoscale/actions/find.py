@@ -18,8 +18,8 @@ from ..detect.cover import FEW_FRAMES, Cover, covering, places_seen, seen_from_a
 from ..detect.detector import Detector
 from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
-from ..detect.remeasure import remeasured
-from ..errors import EvidenceDisagrees, TooLittleEvidence, UsageError
+from ..detect.remeasure import MOST_IN_FRAMES, remeasured
+from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..requests import BUILT_IN, EstimateRequest
 
 if TYPE_CHECKING:
@@ -164,27 +164,19 @@ def measured_anew(
     effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` with the vehicles that are seen from above measured by the measurer of `request`; unchanged if it has
-    none.
-
-    In frames the detector's boxes are kept: in oblique views the measurer's edges follow the bright parts, not the
-    outline of the body that the projection assumes. Raises InputError, and UsageError for a file of boxes in frames
-    only.
-    """
+    """`found` with its vehicles measured by the measurer of `request`, those of frames and of ground pictures each in
+    their own pixels; unchanged if it has none. Raises InputError."""
     if (measurer := measurer_of(request)) is None:
         return found
     if source.posed is None:
         return remeasured(source.pictures, found, measurer, effort, progress)
-    if found.planar is None:
-        if request.detections is not None:
-            raise UsageError(
-                f"--measurer does nothing here: it measures what is seen from above, and {request.detections} has "
-                "boxes in frames only",
-                "Remove --measurer, or --detections.",
-            )
-        return found
-    plans = _plans(source.posed, False)
-    return replace(found, planar=remeasured(plans, found.planar, measurer, effort, _named(progress, "from above")))
+    planar, in_frames = found.planar, replace(found, planar=None)
+    if len(found):
+        in_frames = remeasured(source.pictures, in_frames, measurer, effort, progress, MOST_IN_FRAMES)
+    if planar is not None:
+        plans = _plans(source.posed, False)
+        planar = remeasured(plans, planar, measurer, effort, _named(progress, "from above"))
+    return replace(in_frames, planar=planar)
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

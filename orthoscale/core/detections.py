@@ -52,6 +52,7 @@ class Detections:
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
+    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
     objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
     doubtful : boxes that one detection pass alone shows, or both without being sure (UNCONFIRMED), by picture name.
     set_aside : boxes that both passes show and that do not count all the same, by the reason and picture name.
@@ -75,6 +76,7 @@ class Detections:
     body: str = "car"
     notes: tuple[str, ...] = ()
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
+    undercut: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))

@@ -17,14 +17,15 @@ USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single 
 # (detect/weights/README.md). A parked vehicle that five frames show is then found in one of them alone in 0.6 % of the
 # cases; what is moving, in a few more.
 FOUND_IN = 0.8
+USUAL_NOISE = 0.05  # relative one sigma of a box that says nothing of its own, beside `lasting`
 
 
 @dataclass(frozen=True)
 class Sightings:
     """M boxes as they lie on the ground: each is one sighting of a vehicle.
 
-    size : (M, 2), pixel : (M,), place : (M, D), score : (M,), sigma : (M, 2), kinds : (M, 4), ground : (M,) as those of
-    `Votes`, of a single box each. picture : (M,) name of the picture of each, None where they are not known.
+    size : (M, 2), pixel : (M,), place : (M, D), score : (M,), sigma : (M, 2), kinds : (M, 4), lasting : (M, 2) as those
+    of `Votes`, of a single box each. picture : (M,) name of the picture of each, None where they are not known.
     """
 
     size: np.ndarray
@@ -33,7 +34,7 @@ class Sightings:
     score: np.ndarray
     sigma: np.ndarray | None = None
     kinds: np.ndarray | None = None
-    ground: np.ndarray | None = None
+    lasting: np.ndarray | None = None
     picture: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -56,7 +57,8 @@ class Votes:
     members : (N,) lists of the boxes' indices.
     sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where it is the ruler's.
     kinds : (N, 4) how probably it is each of `boxes.KINDS`, NaN where unknown.
-    ground : (N,) relative one-sigma of both sizes that more views do not lessen: the ground's height under it.
+    lasting : (N, 2) relative one-sigmas of its sizes that more views do not lessen: the ground's height under it, and
+    how its body is seen.
     shown : (N,) number of pictures that have its place in view, None where that is not known.
     """
 
@@ -68,7 +70,7 @@ class Votes:
     members: list[np.ndarray]
     sigma: np.ndarray | None = None
     kinds: np.ndarray | None = None
-    ground: np.ndarray | None = None
+    lasting: np.ndarray | None = None
     shown: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -113,8 +115,16 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
             out[k] = summary(values[members[k]], axis=0)
         return out
 
+    size, lasting = np.exp(over(np.log(seen.size))), None
+    if seen.lasting is not None:
+        weight = _weights(seen.sigma, seen.lasting)
+        lasting = np.sqrt(over(seen.lasting**2))
+        for k in np.flatnonzero(~alone):
+            some = members[k]
+            size[k] = np.exp(weighted_median(np.log(seen.size[some]), weight[some]))
+            lasting[k] = np.sqrt((weight[some] * seen.lasting[some] ** 2).sum(0) / weight[some].sum(0))
     return Votes(
-        size=np.exp(over(np.log(seen.size))),
+        size=size,
         pixel=over(seen.pixel),
         views=views,
         place=over(seen.place),
@@ -122,8 +132,24 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
         members=members,
         sigma=None if seen.sigma is None else np.sqrt(over(seen.sigma**2, np.mean)),
         kinds=None if seen.kinds is None else over(seen.kinds, _mean_of_known),
-        ground=None if seen.ground is None else over(seen.ground),
+        lasting=lasting,
     )
+
+
+def _weights(sigma: np.ndarray | None, lasting: np.ndarray) -> np.ndarray:
+    """(M, 2) of sightings in the middle size of their vehicle: the inverse variances of each."""
+    noise = np.full(lasting.shape, USUAL_NOISE) if sigma is None else sigma
+    return 1 / (np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2)
+
+
+def weighted_median(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(D,) middle of `values` (N, D) with `weight` (N, D): half of the weight lies on either side. With equal weights
+    it is the median."""
+    order = np.argsort(values, axis=0, kind="stable")
+    values, weight = np.take_along_axis(values, order, 0), np.take_along_axis(weight, order, 0)
+    # Each value stands in the middle of its weight; between two of them the median goes straight.
+    middle = (np.cumsum(weight, axis=0) - weight / 2) / weight.sum(0)
+    return np.array([np.interp(0.5, middle[:, k], values[:, k]) for k in range(values.shape[1])])
 
 
 def _groups(labels: np.ndarray) -> list[np.ndarray]:

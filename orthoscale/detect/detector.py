@@ -67,6 +67,7 @@ class Card:
     score : the confidence above which a box counts in one look.
     sure : the mean confidence of two passes above which a vehicle counts; 0 where it is enough that both show it.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
+    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
     stride : height and width of its input must be multiples of this [px].
     body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.
     """
@@ -79,6 +80,7 @@ class Card:
     ruler: Ruler
     training: str = ""
     licence: str = ""
+    undercut: tuple[float, float] = (0.0, 0.0)
     sure: float = 0.0
     stride: int = 32
     body: str = "car"

@@ -141,6 +141,7 @@ def _detections(found: Found, detector: Detector, zoom: float) -> Detections:
         objects=found.objects,
         swept=found.swept,
         body=card.body,
+        undercut=card.undercut,
     )
 
 

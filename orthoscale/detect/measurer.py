@@ -56,6 +56,7 @@ class MeasurerCard:
     ruler : of its boxes, in pixels of the picture, for it looks at that as it is.
     sigma_times : (2,) how many times what it states the errors of its lengths and widths are.
     effective_height : up to where its boxes enclose a vehicle seen obliquely, along length and width [m].
+    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
     body : what they enclose there, one of `core.projection.exact.BODIES`.
     inward : how far an unsure edge lies inside the vehicle, in times of what its sigma exceeds a sure one's. An edge
         that may be the bonnet's or the bumper's is told between the two, and the vehicle ends at the outer one.
@@ -67,6 +68,7 @@ class MeasurerCard:
     sigma_times: tuple[float, float]
     effective_height: tuple[float, float]
     body: str
+    undercut: tuple[float, float] = (0.0, 0.0)
     inward: float = 0.0
     sure: tuple[float, float] = (0.0, 0.0)
     training: str = ""

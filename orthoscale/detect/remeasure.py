@@ -30,6 +30,7 @@ from .shade import DARK, shadows
 from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
+MOST_IN_FRAMES = 1500  # of which a vehicle has many, in views that tell how high boxes reach
 AT_A_TIME = 8  # boxes that one thread measures at a time
 # Share of "none" from which a box does not count: where that is likelier than not. Of 1243 vehicles in eleven test
 # scenes 4 reach it, of 127 boxes beside them that are none 5; at a tenth it is 154 and 60, small dark vehicles most of
@@ -61,15 +62,16 @@ def remeasured(
     measurer: Measurer,
     effort: Effort | None = None,
     progress: Progress | None = None,
+    most: int = MOST,
 ) -> Detections:
     """`found` with the boxes that `measurer` makes of it in `pictures`, and its ruler.
 
     What it takes for no vehicle is set aside. Each box has a sigma of its own, and kinds where it was looked at.
-    effort : its workers and cache.
+    effort : its workers and cache. most : boxes that are measured, at most.
     """
     effort = effort or Effort()
     by_name = {picture.name: picture for picture in pictures}
-    chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name})
+    chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name}, most)
     if not chosen and len(found):
         return found  # nothing that was found is at hand
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
@@ -101,6 +103,7 @@ def remeasured(
         boxes=boxes,
         ruler=_in_detector_pixels(_of_enlarged(card.ruler, enlarged), found.zoom * float(enlarged)),
         effective_height=card.effective_height,
+        undercut=card.undercut,
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
         detector_sha256=measurer.sha256,
@@ -120,11 +123,11 @@ def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction) -> Itera
         yield f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
 
 
-def _chosen(boxes: Mapping[str, Boxes]) -> dict[str, np.ndarray]:
-    """Which boxes of each picture are measured: all, or MOST of them, evenly over pictures and scores."""
+def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
+    """Which boxes of each picture are measured: all, or `most` of them, evenly over pictures and scores."""
     order = [(name, k) for name, some in boxes.items() for k in np.argsort(-some.score, kind="stable").tolist()]
-    if len(order) > MOST:
-        order = [order[k] for k in np.linspace(0, len(order) - 1, MOST).astype(int)]
+    if len(order) > most:
+        order = [order[k] for k in np.linspace(0, len(order) - 1, most).astype(int)]
     chosen: dict[str, list[int]] = {}
     for name, k in order:
         chosen.setdefault(name, []).append(k)

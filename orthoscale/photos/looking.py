@@ -89,6 +89,8 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
 def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) -> Detections:
     from ..detect.detector import Detector, Passes
     from ..detect.find import Effort, find_vehicles
+    from ..detect.measurer import Measurer
+    from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 
     effort = Effort()
     path = None if how.detector is None else Path(how.detector)
@@ -100,7 +102,10 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
-    return replace(found, notes=(*found.notes, *detector.notes))
+    found = replace(found, notes=(*found.notes, *detector.notes))
+    if path is not None or how.calibration is not None:
+        return found
+    return remeasured([photo.picture for photo in photos], found, Measurer(), effort, progress, MOST_IN_FRAMES)
 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:

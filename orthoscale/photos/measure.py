@@ -22,13 +22,15 @@ from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation, larger_by
 from ..core.measuring.measure import measure as measure_boxes
 from ..core.measuring.measurement import Findings
-from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
+from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED, of_each_view
 from ..core.measuring.surroundings import Standards
 from ..core.measuring.systematic import Systematic
 from ..core.pooling.posterior import Z90
 from ..core.pooling.robust import MIN_VEHICLES
-from ..core.projection.exact import BODIES, size_by_ends_and_sides
+from ..core.projection.exact import BODIES
+from ..core.projection.height import lean
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
+from ..core.projection.own_ruler import OwnRuler, SeenBoxes
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
@@ -283,18 +285,19 @@ class PhotoGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """What is not known of attitude, lens and effective height is measured again with each a little off."""
-        height = np.array(self.found.effective_height)
-        size = self._sizes(self.views, metres_per_unit, height)
+        ruler, seen = self._card, SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
+        size, by_body = ruler.told(seen)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
-        shared = {name: larger_by(self._sizes(v, metres_per_unit, height), size) for name, v in self.off.items()}
-        raised = larger_by(self._sizes(self.views, metres_per_unit, height + HEIGHT_SD), size)
-        return Observation(size, self.found.ruler, Systematic(raised, shared))
+        shared = {name: larger_by(ruler.size(replace(seen, views=v)), size) for name, v in self.off.items()}
+        lasting = of_each_view(np.zeros(len(size)), lean(self.boxes, self.views), size * metres_per_unit)
+        return Observation(size, self.found.ruler, Systematic(by_body, shared), lasting)
 
-    def _sizes(self, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
-        """(N, 2) length and width of vehicles of the detector's body, each by the effective height of its own."""
-        ends, sides = (replace(BODIES[self.found.body], height=h) for h in height.tolist())
-        return size_by_ends_and_sides(self.boxes, view, metres_per_unit, (ends, sides))
+    @property
+    def _card(self) -> OwnRuler:
+        """Up to where boxes enclose vehicles, by what measured them; the margin stays in them."""
+        found, none, sd = self.found, (0.0, 0.0), (HEIGHT_SD, HEIGHT_SD)
+        return OwnRuler.shipped(found.effective_height, none, sd, none, BODIES[found.body], found.undercut)
 
     def shown(self, place: np.ndarray) -> None:
         """None: the photo shows all."""

@@ -131,7 +131,8 @@ def _write_detections(found: dict[str, Boxes], path: Path) -> None:
     """The true boxes, as those of a detector without faults; half a pixel of noise at most is in their rounding."""
     height = (EFFECTIVE_HEIGHT_M, EFFECTIVE_HEIGHT_M)
     faultless = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.005, 0.005), noise=(0.3, 0.3))
-    save_detections(Detections(found, 1.0, faultless, height, "true boxes of a synthetic scene"), path)
+    # `vehicle_boxes` are of blocks on the footprint.
+    save_detections(Detections(found, 1.0, faultless, height, "true boxes of a synthetic scene", body="cuboid"), path)
 
 
 def _on_earth(x: float, y: float) -> tuple[float, float]:

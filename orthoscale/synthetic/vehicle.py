@@ -37,6 +37,9 @@ PAINTS = (
 SHOULDER = 0.13  # [m] from the footprint's edge to the decks
 SHOULDER_SHADE = 0.45, 0.9  # of the paint's albedo, least and most
 
+# Bumpers reach furthest about here (49 CFR 581 hits them at 0.41 to 0.51 m); sills lie so high [m].
+TUCKED_BELOW, SILL = 0.45, 0.18
+
 CABINS = {
     # Where the rear window and the windscreen begin and end, in parts of the length from the rear bumper.
     "sedan": (0.15, 0.28, 0.56, 0.73),
@@ -78,7 +81,7 @@ class Vehicle:
     length, width, height : [m], without mirrors, as fleets count them.
     shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
     bumpers : albedo of what stands out at the rear and at the front, where it is not painted.
-    bed : of a pickup.
+    bed : of a pickup. tucked : how far ends and sides recede from TUCKED_BELOW down to the sills [m].
     """
 
     x: float
@@ -93,6 +96,7 @@ class Vehicle:
     corner: float = 1.0
     bumpers: tuple[Colour | None, Colour | None] = (None, None)
     bed: Bed = Bed()
+    tucked: tuple[float, float] = (0.0, 0.0)
 
     @property
     def belt(self) -> float:
@@ -149,8 +153,9 @@ class Vehicle:
         waist = at_height(full, 0.7 * deck(full[:, 0]))
         rim = at_height(shoulder, deck(shoulder[:, 0]))
         parts = [
-            loft(at_height(full, 0.18), at_height(full, 0.32), "paint", np.minimum(paint, 0.03)),
-            loft(at_height(full, 0.32), waist, "paint", paint, 0.5),
+            loft(self._low(full, SILL), self._low(full, 0.32), "paint", np.minimum(paint, 0.03)),
+            loft(self._low(full, 0.32), self._low(full, TUCKED_BELOW), "paint", paint, 0.5),
+            loft(self._low(full, TUCKED_BELOW), waist, "paint", paint, 0.5),
         ]
         parts += self._decks(rng, shoulder, deck, paint)
         parts += self._cabin(rng, paint, rear_foot, screen_foot)
@@ -165,14 +170,20 @@ class Vehicle:
         parts.append(loft(waist, rim, "paint", shade, 0.5))
         return join(parts).placed(self.x, self.y, self.heading)
 
+    def _low(self, outline: np.ndarray, z: float) -> np.ndarray:
+        """(n, 3) the body's `outline` (n, 2) at height `z` below its waist, where it may be tucked in."""
+        share = np.clip((TUCKED_BELOW - z) / (TUCKED_BELOW - SILL), 0, 1)
+        return at_height(outline * (1 - 2 * share * np.array(self.tucked) / (self.length, self.width)), z)
+
     def _wheels(self) -> list[Mesh]:
-        """Tyres and rims, as discs a few millimetres outside the body's sides."""
+        """Tyres and rims, as discs a few millimetres outside the body's sides, or half as far in as these recede."""
+        half = self.width / 2 - self.tucked[1] / 2
         parts = []
         for axle in (-0.30 * self.length, 0.31 * self.length):
             for side in (-1, 1):
                 for radius, out, colour in ((0.34, 0.004, RUBBER), (0.21, 0.008, (0.2, 0.2, 0.21))):
                     turn, up = disc(radius, 8).T
-                    wheel = np.stack([axle - side * turn, np.full(8, side * (self.width / 2 + out)), 0.34 + up], 1)
+                    wheel = np.stack([axle - side * turn, np.full(8, side * (half + out)), 0.34 + up], 1)
                     parts.append(faces(wheel, "paint", colour, 0.1))
         return parts
 

@@ -10,14 +10,17 @@ import numpy as np
 
 Rings = tuple[tuple[float, float, float, float], ...]
 
-# A mid-size car: its full footprint up to the belt line at 0.85 m; the roof at 1.5 m is drawn in by 30 % of the length
-# in front, 12 % behind and 10 % of the width on each side.
-CAR: Rings = ((0.0, 0.5, -0.5, 0.5), (0.85, 0.5, -0.5, 0.5), (1.5, 0.2, -0.38, 0.4))
+# A mid-size car: its full footprint up to the bumpers at 0.4 m, from where its ends lean in by 10 % of the length for
+# each metre; the roof at 1.5 m is drawn in besides, from the belt line at 0.85 m on, by 30 % of the length in front,
+# 12 % behind and 10 % of the width on each side.
+CAR: Rings = ((0.0, 0.5, -0.5, 0.5), (0.4, 0.5, -0.5, 0.5), (0.85, 0.455, -0.455, 0.5), (1.5, 0.09, -0.27, 0.4))
+# The same with ends that stand straight up to the belt line.
+UPRIGHT: Rings = ((0.0, 0.5, -0.5, 0.5), (0.85, 0.5, -0.5, 0.5), (1.5, 0.2, -0.38, 0.4))
 # A car of which less is drawn in: a tall estate.
 ESTATE: Rings = ((0.0, 0.5, -0.5, 0.5), (0.85, 0.5, -0.5, 0.5), (1.5, 0.3, -0.45, 0.45))
 # A van: belt line at 1.1 m, roof at 2.0 m, hardly drawn in behind.
 VAN: Rings = ((0.0, 0.5, -0.5, 0.5), (1.1, 0.5, -0.5, 0.5), (2.0, 0.32, -0.48, 0.44))
-CAR_CORNER, VAN_CORNER = 0.13, 0.10  # of the width
+CAR_CORNER, VAN_CORNER = 0.25, 0.10  # of the width
 
 
 def body(rings: Rings = CAR, top: float = 0.8, corner: float = CAR_CORNER) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from orthoscale.core.projection.own_ruler import OwnRuler, SeenBoxes
 from orthoscale.core.projection.self_calibration import self_calibrated
 from orthoscale.core.projection.view import Views
 
-from .bodies import CAR, body
+from .bodies import CAR, UPRIGHT, body
 
 UNIT = 3.7  # metres
 FOCAL, WIDTH, HEIGHT = 1000.0, 1440.0, 1080.0
@@ -55,7 +55,7 @@ def fly(
     heading = rng.uniform(0, 2 * np.pi, vehicles)
     along = np.stack([np.cos(heading), np.sin(heading), 0 * heading], -1)
     across = np.stack([-np.sin(heading), np.cos(heading), 0 * heading], -1)
-    plan, heights = body(CAR, height)
+    plan, heights = body(UPRIGHT if undercut else CAR, height)  # what recedes does so in straight lines from the belt
     offset = plan * size[:, None]
     offset -= np.sign(offset) * np.where(heights == 0, undercut, 0.0)[:, None]
     points = place[:, None] + offset[..., :1] * along[:, None] + offset[..., 1:] * across[:, None]

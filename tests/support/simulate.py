@@ -69,7 +69,7 @@ class Body:
 
 def cuboid(height: float) -> Hull:
     """The simple case of a hull."""
-    return Hull(height=height, belt=height, roof=height, corner=0.0)
+    return replace(BODIES["cuboid"], height=height)
 
 
 @dataclass(frozen=True)

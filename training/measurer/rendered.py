@@ -2,13 +2,14 @@ r"""Pictures in linear light with exact vehicles, from which the measurer's trai
 
     python -m training.measurer.rendered runs/bank --count 150 --seed 1
 
-A scene is rendered once, finely and without any camera; each crop then gets a camera of its own (`chain`). Half of the
-views lean by up to 25 degrees, so that flanks show; their boxes follow `orthoscale.synthetic.vehicle_boxes`.
+A scene is rendered once, finely and without any camera; each crop then gets a camera of its own (`chain`). Most views
+lean, so that flanks and roofs stand out; a vehicle's box encloses all that it shows, but for its mirrors.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,8 +27,9 @@ GSD = 0.035  # metres per pixel of the bank
 EXTENT = 46.0  # side of a scene [m]
 SAMPLES = 2  # per pixel, each way
 BRIGHTEST = 1.2  # linear light that 255 stands for
-LEANING = 0.5  # share of the views that are not straight down
-MOST_LEAN = 25.0  # [deg]
+LEANING = 0.7  # share of the views that are not straight down
+MOST_LEAN = 1.9  # tangent of the angle off the vertical: 62 degrees
+TUCKED = 0.25, 0.1  # how far ends and sides of real vehicles recede below their bumpers and doors, at most [m]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
 UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
 MORE_PICKUPS = 0.6
@@ -45,7 +47,9 @@ FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
 FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
 LORRY_HEIGHT = 2.5  # effective height of lorries in leaning views [m], as in `orthoscale.synthetic.labels`
 STRIP = 0.35  # depth of the strip inside an edge that tells whether the edge is seen [m]
-SEEN = 0.6  # share of that strip which must be the vehicle's
+SEEN = 0.6  # share of what the vehicle has of that strip which must be in sight
+VISIBLE = 0.3  # share of a vehicle in sight from which it is learnt from
+MIRRORS = 0.02  # [m], further out than the body there are only mirrors
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,7 @@ def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
         shoulder=float(rng.uniform(0.05, 0.25 if pickup else 0.2)),
         corner=float(rng.uniform(0.6, roundest)),
         bumpers=(plain[0], plain[1]),
+        tucked=(float(rng.uniform(0, TUCKED[0])), float(rng.uniform(0, TUCKED[1]))),
     )
 
 
@@ -140,7 +145,7 @@ def random_view(scene: Scene, rng: np.random.Generator) -> View:
     if rng.random() > LEANING:
         return ortho_view(scene, GSD)
     size = round(scene.extent_m / GSD)
-    lean, yaw = np.deg2rad(MOST_LEAN * np.sqrt(rng.random())), rng.uniform(0, 2 * np.pi)
+    lean, yaw = np.arctan(MOST_LEAN * rng.random()), rng.uniform(0, 2 * np.pi)
     slant = GSD * FOCAL * size
     centre = slant * np.array([-np.sin(lean) * np.cos(yaw), -np.sin(lean) * np.sin(yaw), np.cos(lean)])
     return Perspective(Camera(FOCAL * size, size, size), Pose.looking(centre, yaw, np.pi / 2 - lean))
@@ -155,22 +160,48 @@ def directed_boxes(vehicles: tuple[Vehicle, ...], view: View, height: float = 0.
     return np.c_[boxes[:, :4], boxes[:, 4] + np.pi * turned]
 
 
-def edges_seen(boxes: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> np.ndarray:
-    """(N, 4) bool, see `Rendered.seen`. owner : (H, W) the vehicle that each pixel shows, owners : (N,) the boxes'."""
-    seen = np.zeros((len(boxes), 4), bool)
-    along, depth = np.meshgrid(np.linspace(-0.35, 0.35, 15), np.linspace(0.15, 1, 6) * STRIP / GSD)
-    for k, (x, y, length, width, angle) in enumerate(boxes):
-        for edge, (half, across, way) in enumerate(
-            [(length / 2, width, np.pi), (length / 2, width, 0.0), (width / 2, length, -np.pi / 2),
-             (width / 2, length, np.pi / 2)]
-        ):  # fmt: skip
-            out = np.array([np.cos(angle + way), np.sin(angle + way)])
-            at = np.array([x, y]) + (half - depth)[..., None] * out + (along * across)[..., None] * [-out[1], out[0]]
-            column, row = np.floor(at).astype(int).reshape(-1, 2).T
-            inside = (column >= 0) & (row >= 0) & (column < owner.shape[1]) & (row < owner.shape[0])
-            hit = owner[row.clip(0, owner.shape[0] - 1), column.clip(0, owner.shape[1] - 1)] == owners[k]
-            seen[k, edge] = (hit & inside).mean() > SEEN
-    return seen
+def silhouettes(scene: Scene, view: View) -> tuple[np.ndarray, list[np.ndarray]]:
+    """What each vehicle shows of itself in `view`, whatever stands before it: (N, 5) the boxes about it, along the
+    vehicle's direction, the front's; and the corners (F, CORNERS, 2) of its faces there. Mirrors are left out."""
+    boxes, outlines = directed_boxes(scene.vehicles, view), []
+    for k, vehicle in enumerate(scene.vehicles):
+        faces = scene.mesh.corners[scene.mesh.owner == k]
+        ahead = np.array([np.cos(vehicle.heading), np.sin(vehicle.heading)])
+        aside = (faces[..., :2] - (vehicle.x, vehicle.y)) @ (-ahead[1], ahead[0])
+        body = faces[(np.abs(aside) < vehicle.width / 2 + MIRRORS).all(1)]
+        seen = view.project(body)
+        along = np.array([np.cos(boxes[k, 4]), np.sin(boxes[k, 4])])
+        axes = np.stack([along, [-along[1], along[0]]])
+        on_axes = seen.reshape(-1, 2) @ axes.T
+        low, high = on_axes.min(0), on_axes.max(0)
+        boxes[k, :2], boxes[k, 2:4] = (low + high) / 2 @ axes, high - low
+        outlines.append(seen)
+    return boxes, outlines
+
+
+def in_sight(boxes: np.ndarray, outlines: Sequence[np.ndarray], owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 4) bool, see `Rendered.seen`, and (N,) the share of each vehicle that nothing hides. outlines : of
+    `silhouettes`. owner : (H, W) the vehicle that each pixel shows."""
+    seen, share = np.zeros((len(boxes), 4), bool), np.zeros(len(boxes))
+    for k, (x, y, length, across, angle) in enumerate(boxes):
+        if not (0 < x < owner.shape[1] and 0 < y < owner.shape[0]):
+            continue
+        reach = int(np.hypot(length, across) / 2) + 2
+        x0, y0, x1, y1 = max(int(x) - reach, 0), max(int(y) - reach, 0), int(x) + reach, int(y) + reach
+        mine = owner[y0:y1, x0:x1] == k
+        whole = np.zeros((y1 - y0, x1 - x0), np.uint8)  # the vehicle alone, beyond the picture too
+        for face in outlines[k]:
+            cv2.fillPoly(whole, [np.round(face - (x0, y0)).astype(np.int32)], 1)
+        there = np.zeros(whole.shape, bool)
+        there[: mine.shape[0], : mine.shape[1]] = mine
+        columns, rows = np.meshgrid(np.arange(x0, x1) + 0.5 - x, np.arange(y0, y1) + 0.5 - y)
+        along, aside = (columns * c + rows * s for c, s in
+                        ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))))  # fmt: skip
+        for edge, depth in enumerate([length / 2 + along, length / 2 - along, across / 2 + aside, across / 2 - aside]):
+            strip = (depth < STRIP / GSD) & (whole > 0)
+            seen[k, edge] = strip.any() and there[strip].mean() > SEEN
+        share[k] = there[whole > 0].mean() if whole.any() else 0
+    return seen, share
 
 
 def rendered(seed: int, overcast: bool | None = None) -> Rendered:
@@ -197,17 +228,17 @@ def rendered(seed: int, overcast: bool | None = None) -> Rendered:
     linear, owner = light(scene, view.enlarged(SAMPLES))
     linear = cv2.resize(linear, (view.width, view.height), interpolation=cv2.INTER_AREA)
     owner = owner[1::SAMPLES, 1::SAMPLES]
-    boxes, kinds = np.empty((0, 5)), []
+    boxes, outlines, kinds = np.empty((0, 5)), [], []
     if scene.vehicles:
-        boxes = directed_boxes(scene.vehicles, view)
+        boxes, outlines = silhouettes(scene, view)
         kinds = [ANSWERS.index(v.shape) if v.shape in ANSWERS else 0 for v in scene.vehicles]
-    seen = edges_seen(boxes, owner, np.arange(len(boxes)))
+    seen, share = in_sight(boxes, outlines, owner)
     lorries = tuple(Vehicle(x, y, a, length, width, 3.0) for x, y, length, width, a in scene.lorries)
     if lorries:
         boxes = np.r_[boxes, directed_boxes(lorries, view, LORRY_HEIGHT)]
         kinds += [ANSWERS.index("larger")] * len(lorries)
-        seen = np.r_[seen, np.ones((len(lorries), 4), bool)]
-    near = ((boxes[:, :2] > 0) & (boxes[:, :2] < (view.width, view.height))).all(1)
+        seen, share = np.r_[seen, np.ones((len(lorries), 4), bool)], np.r_[share, np.ones(len(lorries))]
+    near = (share > VISIBLE) & ((boxes[:, :2] > 0) & (boxes[:, :2] < (view.width, view.height))).all(1)
     coded = (255 * np.sqrt(np.clip(linear / BRIGHTEST, 0, 1)) + rng.random(linear.shape)).clip(0, 255).astype(np.uint8)
     return Rendered(coded, boxes[near], np.array(kinds, int)[near], seen[near])
 

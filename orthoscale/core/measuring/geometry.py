@@ -25,14 +25,14 @@ class Observation:
 
     size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle on the ground fits
     the box. ruler : the part of the detector's ruler that `size` still contains, with its uncertainty. systematic : the
-    errors common to all of them. ground : (M,) relative one-sigmas of the sizes from the uncertainty of the ground's
-    height under each box.
+    errors common to all of them. lasting : (M, 2) relative one-sigmas of the sizes that other views of the same vehicle
+    share: from the ground's height under it, and from how high boxes reach at its view.
     """
 
     size: np.ndarray
     ruler: Ruler
     systematic: Systematic = Systematic()
-    ground: np.ndarray | None = None
+    lasting: np.ndarray | None = None
 
     @cached_property
     def solved(self) -> np.ndarray:

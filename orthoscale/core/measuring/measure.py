@@ -40,7 +40,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
                 f"{amount(int(solved.sum()), 'boxes')} that a vehicle explains, {MIN_VEHICLES} are needed"
             )
         sightings = Sightings(
-            seen.size, geometry.pixel, geometry.place, boxes.score, boxes.sigma, boxes.kinds, seen.ground,
+            seen.size, geometry.pixel, geometry.place, boxes.score, boxes.sigma, boxes.kinds, seen.lasting,
             geometry.picture,
         )  # fmt: skip
         votes = gather(sightings[solved], geometry.repeated)

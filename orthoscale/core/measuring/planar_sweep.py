@@ -17,7 +17,10 @@ from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
 from ..pooling.robust import MIN_VEHICLES
-from ..projection.planar import footprint, ground_size
+from ..projection.exact import BODIES
+from ..projection.own_ruler import OwnRuler, SeenBoxes
+from ..projection.planar import ground_size
+from ..projection.view import Views
 from ..scale import Scale
 from ..source import NEAR_NADIR, GroundView, PosedSet
 from ..votes import Votes
@@ -26,7 +29,7 @@ from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings
-from .oblique import height_share
+from .oblique import HEIGHT_SD, of_each_view
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
 from .systematic import of_height
@@ -38,11 +41,6 @@ BORDER = 2.0  # [px of the frame]
 # them looks blurred, and its boxes come out too wide: where a frame is enlarged 2.1 times, three cars on `boruszyn` are
 # 20 % wider than where it was hardly. Half an octave, as far as the two detection passes are apart.
 MOST_ENLARGED = 2**0.5
-# How far up boxes enclose vehicles in these pictures strays from the measurer's card, one sigma [m]. By the card it is
-# nothing; the sizes of one vehicle near and far from the nadir say 0.65 +- 0.11 (widths, `sheffield`), 0.76 +- 0.12
-# (`weedon`) and 0.5 to 1.0 (rendered flights), but -0.1 (lengths, `sheffield`); and lengths and widths of real places
-# agree best with none.
-GROUND_HEIGHT_SD = 0.5
 TOO_COARSE = "seen from so far away that the picture of the ground is blurred"
 TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
 CALLED_ABOVE = "boxes near the nadir"
@@ -139,17 +137,32 @@ class SweepGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes of the boxes less the part due to the vehicles' height."""
-        size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
-        by_height = of_height(height_share(size, np.abs(self.offset), GROUND_HEIGHT_SD / metres_per_unit))
-        by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
-        systematic = by_height.and_shared({**self.stands.alike, **by_focal})
-        return Observation(size, self.found.ruler, systematic, self.stands.each)
+        ruler = self._card
+        size, by_body = ruler.told(self._seen(metres_per_unit))
+        by_focal = {}
+        if self.focal_sd:
+            longer = ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))
+            by_focal["focal length"] = larger_by(longer, size)
+        systematic = of_height(by_body).and_shared({**self.stands.alike, **by_focal})
+        lasting = of_each_view(self.stands.each, np.abs(self.offset), size * metres_per_unit)
+        return Observation(size, self.found.ruler, systematic, lasting)
 
-    def _footprints(self, metres_per_unit: float, ratio: float) -> np.ndarray:
-        """(M, 2) sizes [units], by a focal length `ratio` times as long and a camera so much higher."""
+    @property
+    def _card(self) -> OwnRuler:
+        """Up to where boxes enclose vehicles, by what measured them; the margin stays in them."""
+        found, none = self.found, (0.0, 0.0)
+        height_sd = (HEIGHT_SD, HEIGHT_SD)
+        return OwnRuler.shipped(found.effective_height, none, height_sd, none, BODIES[found.body], found.undercut)
+
+    def _seen(self, metres_per_unit: float, ratio: float = 1.0) -> SeenBoxes:
+        """The boxes along their own axes, as a camera that looks straight down sees them, whose pixels are units there,
+        by a focal length `ratio` times as long and a camera so much higher."""
         camera = self.camera * ratio
-        top = np.array(self.found.effective_height) / metres_per_unit / camera
-        return camera * footprint(self.flat / camera, self.offset / ratio, top)
+        ground = np.concatenate([self.offset / ratio * camera, camera], 1)
+        lens = camera[:, :, None] * np.eye(2)
+        middle, none = np.zeros((len(camera), 2)), np.zeros((len(camera), 1))
+        boxes = Boxes(np.concatenate([middle, self.flat, none], 1), self.boxes.score)
+        return SeenBoxes(boxes, Views(ground, np.tile([0.0, 0.0, -1.0], (len(camera), 1)), lens), 1.0, metres_per_unit)
 
     def shown(self, place: np.ndarray) -> np.ndarray:
         """(N,) number of frames that show the places (N, 3) from near the nadir."""

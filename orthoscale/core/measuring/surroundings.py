@@ -12,7 +12,7 @@ from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..pooling.anchors import evidence_of
 from ..pooling.posterior import Posterior
-from ..projection.exact import FLAT, Hull, ground_axes, ground_size
+from ..projection.exact import BODIES, FLAT, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Sightings, Votes, gather
@@ -148,7 +148,8 @@ def _objects(
     metres_per_unit: float,
     height: float,
 ) -> list[AnchorVote]:
-    size = ground_size(boxes, views, metres_per_unit, Hull(height=height, belt=height, roof=height, corner=0.0))
+    solid = replace(BODIES["cuboid"], height=height)
+    size = ground_size(boxes, views, metres_per_unit, solid)
     solved = np.isfinite(size).all(1)
     size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
     pixel = views.unit_per_pixel[solved] / zoom

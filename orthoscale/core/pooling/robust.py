@@ -168,15 +168,15 @@ def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[A
 
 
 def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own, else the ruler's; and what is not known of
-    the ground under it, which its views share."""
+    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own, else the ruler's; and what its views
+    share."""
     views = np.maximum(votes.views, 1)
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 * of_median(views)[:, None]
     if votes.sigma is not None:
         own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
         variance = np.where(np.isfinite(own), own, variance)
-    if votes.ground is not None:
-        variance = variance + (votes.ground[:, None] * votes.size) ** 2
+    if votes.lasting is not None:
+        variance = variance + (votes.lasting * votes.size) ** 2
     return np.sqrt(variance)
 
 

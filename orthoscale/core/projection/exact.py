@@ -38,8 +38,8 @@ class Hull:
     front_inset: float = 0.30  # of the length, at the roof
     rear_inset: float = 0.12  # of the length, at the roof
     side_inset: float = 0.10  # of the width, each side, at the roof
-    corner: float = 0.13  # of the width, cut off each corner
-    end_lean: float = 0.0  # of front and rear, a share of the length for each metre above BEND [1/m]
+    corner: float = 0.25  # of the width, cut off each corner
+    end_lean: float = 0.1  # of front and rear, a share of the length for each metre above BEND [1/m]
     side_lean: float = 0.0  # of each side, a share of the width for each metre above BEND [1/m]
 
     @property
@@ -77,8 +77,8 @@ class Hull:
 BODIES = {  # by the name that a detector's card may give, for one that finds vehicles of one kind
     "car": Hull(),
     # Steep rear, short bonnet, little taper: how far the roof is drawn in cannot be told from size by views alone.
-    "van": Hull(belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06, corner=0.10),
-    "cuboid": Hull(front_inset=0.0, rear_inset=0.0, side_inset=0.0, corner=0.0),
+    "van": Hull(belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06, corner=0.10, end_lean=0.0),
+    "cuboid": Hull(front_inset=0.0, rear_inset=0.0, side_inset=0.0, corner=0.0, end_lean=0.0),
 }
 
 

@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
-from .exact import FLAT, Hull, ground_size, size_by_ends_and_sides
+from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
-DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [m], [1/m], share of the width
+BODY = (HEIGHT, UNDERCUT, LEAN, CORNER)  # those of what boxes enclose
+# That give the slopes: [m], [detector px], [m], [1/m], share of the width. About as large as what is not known of each:
+# of a box that hides what leans in, a smaller one changes nothing, and all would be known.
+DIFFERENCES = (0.2, 0.25, 0.1, 0.1, 0.07)
 HIGHEST = 2.2  # of the effective height [m]: the roof of a van
 MOST_UNDERCUT = 1.0  # [m]
 LOWEST, LARGEST = (0.0, -np.inf, 0.0, -1.0, 0.0), (HIGHEST, np.inf, MOST_UNDERCUT, 1.0, 0.3)
@@ -24,6 +27,7 @@ LOWEST, LARGEST = (0.0, -np.inf, 0.0, -1.0, 0.0), (HIGHEST, np.inf, MOST_UNDERCU
 # widths (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length
 # from the bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 a van's.
 LEAN_SD = (0.1, 0.08)
+KNOWN_UNDERCUT_SD = 0.12  # how far vehicles' undercuts stray from a card that has one [m]
 CORNER_SD = 0.07
 
 
@@ -70,11 +74,14 @@ class OwnRuler:
         height_sd: Sequence[float],
         margin_sd: Sequence[float],
         body: Hull | None = None,
+        undercut: Sequence[float] = (0.0, 0.0),
     ) -> OwnRuler:
-        """What the detector's card says, (2,) each, by lengths and by widths; it knows no undercut."""
+        """What the detector's card says, (2,) each, by lengths and by widths. One without an undercut knows none."""
         body = body or Hull()
-        value = [[h, m, 0.0, 0.0, body.corner] for h, m in zip(height, margin, strict=True)]
-        sd = [[h, m, 0.0, lean, CORNER_SD] for h, m, lean in zip(height_sd, margin_sd, LEAN_SD, strict=True)]
+        leans = body.end_lean, body.side_lean
+        value = [[h, m, u, k, body.corner] for h, m, u, k in zip(height, margin, undercut, leans, strict=True)]
+        under = KNOWN_UNDERCUT_SD if any(undercut) else 0.0
+        sd = [[h, m, under, lean, CORNER_SD] for h, m, lean in zip(height_sd, margin_sd, LEAN_SD, strict=True)]
         return cls(np.array(value, float), np.array([np.diag(np.square(one)) for one in sd]), body=body)
 
     @property
@@ -121,7 +128,8 @@ class OwnRuler:
         size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
         if self.undercut.any():
             above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
-            nearer = 1 - self.height / metres_per_unit / above  # a waist so high is closer than the ground
+            waist_height = np.minimum(self.height, (BEND, self.body.belt))  # up to where ends, and sides, stand straight
+            nearer = 1 - waist_height / metres_per_unit / above  # it is closer than the ground
             waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
             size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
         size[swapped] = np.nan
@@ -148,6 +156,14 @@ class OwnRuler:
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
+    def told(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes (N, 2) as `size`, NaN also where a body a little other would not give the box; and (2,) one-sigmas of
+        all lengths and widths, relative, from what is not known of bodies and of what boxes enclose of them."""
+        size, slopes = self.size(seen), self.slopes(seen, BODY)
+        ok = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
+        sd = np.sqrt(np.square(self.relative_sd(size[ok], slopes[ok])).sum(1)) if ok.any() else np.zeros(2)
+        return np.where(ok[:, None], size, np.nan), sd
+
     def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """(2,) by how much lengths' and widths' errors from bodies correlate with the error of the card's height.
 
@@ -155,9 +171,8 @@ class OwnRuler:
         h - card is its own variance, and that of any other error its covariance with h - fitted. 1 where no view told.
         None below zero: two errors that cancel in a mean would be more than is known of bodies.
         """
-        bodies = [HEIGHT, UNDERCUT, LEAN, CORNER]
-        share = _median_share(size, slopes)[:, bodies]
-        covariance = self.covariance[:, bodies][:, :, bodies]
+        share = _median_share(size, slopes)[:, BODY]
+        covariance = self.covariance[:, BODY][:, :, BODY]
         with_height = np.einsum("ki,ki->k", share, covariance[:, :, 0])
         variance = np.einsum("ki,kij,kj->k", share, covariance, share)
         return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)

@@ -51,17 +51,18 @@ def self_calibrated(
     if len(index) < MIN_RESIDUALS:
         return shipped
     seen = _RulerData(boxes[index], vehicle, shipped)
-    common = [HEIGHT, MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [HEIGHT]
+    known = shipped.covariance[:, UNDERCUT, UNDERCUT].any()  # then it is held by the card, as the height is
+    common = [HEIGHT, *([UNDERCUT] if known else []), *([MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [])]
     plain = _settled(start or shipped, seen, (common, common))
     before = plain.size(seen.boxes)
     best, most, fitted = plain, 0.0, (common, common)
-    for shape in SHAPES:
+    for shape in SHAPES[1:] if known else SHAPES:
         free = (common + shape[0], common + shape[1])
-        shaped = _settled(_undercut(plain) if UNDERCUT in free[0] else plain, seen, free)
+        shaped = _settled(_undercut(plain) if UNDERCUT in shape[0] else plain, seen, free)
         gain = _gain(before, shaped.size(seen.boxes), vehicle)
         # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
         gain -= sum(map(len, shape)) * float(np.log(len(index)))
-        told = UNDERCUT not in free[0] or shaped.undercut.max() > LEAST_UNDERCUT
+        told = UNDERCUT not in shape[0] or shaped.undercut.max() > LEAST_UNDERCUT
         if told and gain > most:
             best, most, fitted = shaped, gain, free
     return _with_the_rest(best, seen, fitted)
@@ -78,7 +79,9 @@ class _RulerData:
 
     def prior(self, free: Free) -> np.ndarray:
         """(2, 5, 5) covariance beforehand, where `free` may be fitted."""
-        return _with_undercut(self.shipped.covariance) if UNDERCUT in free[0] else self.shipped.covariance
+        covariance = self.shipped.covariance
+        unknown = UNDERCUT in free[0] and not covariance[:, UNDERCUT, UNDERCUT].any()
+        return _with_undercut(covariance) if unknown else covariance
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:

@@ -63,6 +63,7 @@ def about(found: Detections) -> dict[str, Any]:
         "detector_sha256": found.detector_sha256,
         "zoom": found.zoom,
         "effective_height": list(found.effective_height),
+        "undercut": list(found.undercut),
         "body": found.body,
         "ruler": asdict(found.ruler),
     }
@@ -93,6 +94,7 @@ def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detection
         zoom=entry.zoom,
         ruler=UNKNOWN_RULER if entry.ruler is UNSET else entry.ruler.ruler,
         effective_height=entry.effective_height,
+        undercut=entry.undercut,
         detector=name if entry.detector is UNSET else entry.detector,
         detector_sha256=entry.detector_sha256,
         doubtful=_vehicles(entry.doubtful),

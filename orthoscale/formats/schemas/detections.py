@@ -34,6 +34,7 @@ class NoteEntry(Struct, kw_only=True):
 
     zoom: Annotated[float, Meta(gt=1e-4, le=1e3)]
     effective_height: tuple[Height, Height]
+    undercut: tuple[Height, Height] = (0.0, 0.0)
     detector_sha256: Name
     detector: Text | UnsetType = UNSET
     body: Name = "car"

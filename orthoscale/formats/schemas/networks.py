@@ -64,6 +64,7 @@ class CardEntry(Struct, forbid_unknown_fields=True):
     score: Threshold
     effective_height: tuple[Height, Height]
     ruler: RulerEntry
+    undercut: tuple[Height, Height] = (0.0, 0.0)
     training: Text = ""
     licence: Text = ""
     sure: Share = 0.0
@@ -95,6 +96,7 @@ class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
     ruler: RulerEntry
     sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
     effective_height: tuple[Height, Height]
+    undercut: tuple[Height, Height] = (0.0, 0.0)
     body: Name = "car"
     inward: Annotated[float, Meta(ge=0, le=100)] = 0.0
     sure: tuple[Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=0, le=100)]] = (0.0, 0.0)
