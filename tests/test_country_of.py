@@ -9,7 +9,7 @@ from PIL import Image
 from rasterio.transform import from_origin
 from support.photos import write_photo
 
-from orthoscale.sources.country import fleet_at, named_fleet
+from orthoscale.sources.country import country_of, fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.location import Location, location_in, location_of
 from orthoscale.sources.opening import open_source
@@ -64,3 +64,24 @@ def test_a_name_wins_and_the_sea_has_no_country():
     assert named_fleet("DE", None).code == "DE" and named_fleet(None, None) is None
     at_sea, notes = fleet_at(Location(-30.0, 30.0, "the GPS position in x.jpg"))
     assert at_sea.code == "WORLD" and notes == ("the GPS position in x.jpg is in no country: fleet world",)
+
+
+@pytest.mark.parametrize(
+    ("name", "country"),
+    [(None, "PL"), ("DE", "DE"), ("US_TX", "US"), ("DE_new", "DE"), ("BT", "BT"), ("world", "PL"), ("EU", "PL"),
+     ("GCC", "PL")],
+)  # fmt: skip
+def test_a_named_country_also_says_whose_standards_hold(tmp_path, name, country):
+    """They were those of the place, and the vehicles those of the fleet."""
+    source = orthophoto(tmp_path / "a.tif", "EPSG:2180", 360_000, 500_000, 0.1)
+    assert country_of(source, named_fleet(name, None)) == country
+    nowhere = orthophoto(tmp_path / "b.tif", None, 0, 300, 1)
+    assert country_of(nowhere, named_fleet(name, None)) == ("" if country == "PL" else country)
+
+
+@pytest.mark.parametrize(("entry", "country"), [({}, "PL"), ({"country": "DE"}, "DE")])
+def test_a_fleet_file_says_whose_standards_hold_where_it_names_a_country(tmp_path, entry, country):
+    sizes = {"length": [4.4, 0.4], "width": [1.8, 0.1], "height": [1.5, 0.1], "mean_sd": [0.05, 0.02, 0.02]}
+    (tmp_path / "own.json").write_text(json.dumps({"name": "ours", "source": "measured", **sizes, **entry}))
+    source = orthophoto(tmp_path / "a.tif", "EPSG:2180", 360_000, 500_000, 0.1)
+    assert country_of(source, named_fleet(tmp_path / "own.json", None)) == country

@@ -34,12 +34,12 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
 
 
 def country_of(source: Source, fleet: Fleet | None) -> str:
-    """ISO code of the country whose standards hold in `source`: where it lies, else that of its `fleet`; empty where
+    """ISO code of the country whose standards hold in `source`: that of its `fleet`, else where it lies; empty where
     neither says."""
     from .location import location_of
 
-    location = location_of(source)
-    if location is not None and (code := country_at(location.longitude, location.latitude)) is not None:
-        return code
     code = "" if fleet is None else fleet.country
-    return code if len(code) == 2 and code.isupper() and code not in UNIONS else ""
+    if len(code) == 2 and code.isupper() and code not in UNIONS:
+        return code
+    location = location_of(source)
+    return (None if location is None else country_at(location.longitude, location.latitude)) or ""
