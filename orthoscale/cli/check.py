@@ -126,7 +126,8 @@ def _show(outcome: Checked) -> None:
     for comparison in outcome.comparisons:
         say(f"claim      {comparison.stated()}")
         say(f"           {comparison.sentence()}")
-        if comparison.unit_known and not comparison.believed:
+        # Of a reconstruction without a claim the line above says why a metre is compared.
+        if comparison.unit_known and not comparison.believed and result.source.plan is not None:
             say("           the claim itself is not tied to the ground")
     for remark in result.remarks:
         say(f"{remark.label:10s} {remark.text}")
