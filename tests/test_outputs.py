@@ -33,6 +33,7 @@ from orthoscale.formats.vector import write_layer
 from orthoscale.report.document import pixel_size
 from orthoscale.report.extras import write_tiles
 from orthoscale.report.geo import outlines, table
+from orthoscale.report.pictures import REJECTED_RGB, USED_RGB
 from orthoscale.sources.raster import RasterSource
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul")
@@ -287,7 +288,16 @@ def test_the_geopackage_holds_the_vehicles_in_metres_with_a_style(everything):
 
     renderer = ElementTree.fromstring(qml).find("renderer-v2")
     assert name == "vehicles" and renderer.get("attr") == "used"
-    assert len(renderer.findall("symbols/symbol")) == len(renderer.findall("categories/category")) == 2
+    assert len(renderer.findall("symbols/symbol")) == 2
+    drawn = {}
+    for category in renderer.findall("categories/category"):
+        symbol = renderer.find(f"symbols/symbol[@name='{category.get('symbol')}']")
+        options = {option.get("name"): option.get("value") for option in symbol.iter("Option")}
+        drawn[category.get("value")] = options["outline_color"], options["color"], options["outline_style"]
+    blue, orange = (",".join(map(str, rgb)) for rgb in (USED_RGB, REJECTED_RGB))  # the report's
+    assert drawn == {
+        "true": (f"{blue},255", f"{blue},40", "solid"), "false": (f"{orange},255", f"{orange},40", "dash")
+    }  # fmt: skip
 
 
 def test_boxes_lie_where_the_vehicles_are_in_the_copy(everything):

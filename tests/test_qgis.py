@@ -77,7 +77,7 @@ def test_an_orthophoto_is_scaled_shown_and_built_upon(qgis, tmp_path):
     assert told["units_per_pixel"] == pytest.approx(float(done["SCALE"]))
     with rasterio.open(picture) as image:  # outlines of used vehicles
         red, green, blue = image.read().astype(int)[:3]
-        assert ((abs(red - 40) < 12) & (abs(green - 180) < 12) & (abs(blue - 60) < 12)).sum() > 500
+        assert ((red < 12) & (abs(green - 214) < 12) & (blue > 243)).sum() > 500
 
     with rasterio.open(out) as raster:
         left, bottom, right, top = raster.bounds

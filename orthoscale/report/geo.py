@@ -15,9 +15,11 @@ from ..formats.detections.geo import LAYER
 from ..formats.names import json_in_utf8
 from ..formats.vector import write_layer
 from .anchors import entries, write_anchor_layer
+from .pictures import REJECTED_RGB, USED_RGB
 from .result import Result
 
-# Used green, others red; what a QGIS layer loads as its default style from the table layer_styles.
+# Used blue, others dashed orange, as in the report; what a QGIS layer loads as its default style from the table
+# layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis styleCategories="Symbology">
  <renderer-v2 type="categorizedSymbol" attr="used" symbollevels="0" enableorderby="0" forceraster="0">
@@ -34,7 +36,7 @@ SYMBOL = """<symbol type="fill" name="{name}" alpha="1" clip_to_extent="1" force
     <Option type="Map">
      <Option type="QString" name="color" value="{rgb},40"/>
      <Option type="QString" name="outline_color" value="{rgb},255"/>
-     <Option type="QString" name="outline_style" value="solid"/>
+     <Option type="QString" name="outline_style" value="{line}"/>
      <Option type="QString" name="outline_width" value="0.5"/>
      <Option type="QString" name="outline_width_unit" value="MM"/>
      <Option type="QString" name="style" value="solid"/>
@@ -140,7 +142,9 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
 
 
 def _add_style(path: Path) -> None:
-    style = STYLE.format(used=SYMBOL.format(name=0, rgb="40,180,60"), rejected=SYMBOL.format(name=1, rgb="230,60,40"))
+    used = SYMBOL.format(name=0, rgb=",".join(map(str, USED_RGB)), line="solid")
+    rejected = SYMBOL.format(name=1, rgb=",".join(map(str, REJECTED_RGB)), line="dash")
+    style = STYLE.format(used=used, rejected=rejected)
     with sqlite3.connect(path) as file:
         geometry = file.execute("SELECT column_name FROM gpkg_geometry_columns").fetchone()[0]
         file.execute(STYLES_TABLE)

@@ -31,8 +31,8 @@ class Fix(OrthoscaleAlgorithm):
         """Beside the dialog."""
         return (
             "Finds the ground sampling distance of an orthophoto from the vehicles in it, and writes a copy with that "
-            "pixel size. The pixels are not changed, nor is the input. Vehicles that were used are green, rejected "
-            "ones red. A page beside the output says how far to trust the scale."
+            "pixel size. The pixels are not changed, nor is the input. Vehicles that were used are blue, rejected "
+            "ones orange. A page beside the output says how far to trust the scale."
         )
 
     def initAlgorithm(self, configuration=None):
