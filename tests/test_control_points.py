@@ -105,7 +105,7 @@ def test_lines_of_the_same_metres_are_one_point_in_the_plain_form_too(flight, tm
     assert len(lines) > 2 * len(read_control_file(path).points)
 
 
-@pytest.mark.parametrize("name", ["cam 1/a b.jpg", r"cam1\a.jpg"])
+@pytest.mark.parametrize("name", ["cam 1/a b.jpg", r"cam1\a.jpg", "a;b;c.jpg"])
 def test_names_with_spaces_or_backslashes_stand_in_quotes_and_a_hint_says_so(tmp_path, name):
     path = tmp_path / "gcp.txt"
     path.write_text(f'"{name}@10,20" 1 2 3\n')
@@ -115,6 +115,25 @@ def test_names_with_spaces_or_backslashes_stand_in_quotes_and_a_hint_says_so(tmp
         read_control_file(path)
     assert "in double quotes where the name has spaces or backslashes" in caught.value.hint
     assert "in double quotes where the name has spaces or backslashes" in DISTANCE_HINT
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("1;123,45;678,9", "1 123.45 678.9"),
+        ("120.5,80;500000,25;5390000,5;\n# by hand\n;;;\n300,90; 500123,456 ;5390000;",
+         "120.5,80 500000.25 5390000.5\n\n\n300,90 500123.456 5390000"),
+        ("id:1;1;2;3,25\nid:2;2;3;4", "id:1 1 2 3.25\nid:2 2 3 4"),
+        ("1,5,2,5,0;1.25;2", "1,5,2,5,0 1.25 2"),
+        ('"cam 1/a.jpg@10,20";1;2;3', '"cam 1/a.jpg@10,20" 1 2 3'),
+        ("EPSG:32632;;\n500000,5;5390000;300;10,5;20;a.jpg;one, two", "EPSG:32632\n500000.5 5390000 300 10.5 20 a.jpg"),
+    ],
+)  # fmt: skip
+def test_columns_may_end_at_semicolons_and_numbers_have_decimal_commas_then(tmp_path, text, same):
+    """As spreadsheets write them in much of Europe."""
+    (tmp_path / "a.txt").write_text(text)
+    (tmp_path / "b.txt").write_text(same)
+    assert read_control_file(tmp_path / "a.txt") == read_control_file(tmp_path / "b.txt")
 
 
 def test_an_orthophoto_shows_no_project_of_pictures(flight, tmp_path):
@@ -137,6 +156,13 @@ GOOD = "500000 5390000 300 10 20 a.jpg"
         ("EPSG:32632\n500000,5 5390000 300 10 20 a.jpg", "line 2: '500000,5' has a decimal comma: write 500000.5"),
         ("EPSG:32632\n500000 5390000 300 10,5 20 a.jpg", "line 2: '10,5' has a decimal comma: write 10.5"),
         ("120,80 500000,25 5390000,5", "line 1: '500000,25' has a decimal comma: write 500000.25"),
+        ("1;1234,5;678.9", "line 1: '1234,5' has a decimal comma: write 1234.5"),
+        ("1;1,234;678,5\n2;2;1234.5", "line 1: '1,234' is 1.234 or 1234: write which"),
+        ("1;5,390,000;678,5", "line 1: '5,390,000' is not a finite number"),
+        ("1;;678,5", "line 1: '' is not a finite number"),
+        ("120;80;500000,25;5390000,5;1", "line 1: 4 coordinates in metres"),
+        ("1;2;3\n4 5 6", "line 1: 0 coordinates in metres"),
+        ("EPSG:32632\n500000;5390000;300;10;20", "line 2: 5 words, where"),
         ("EPSG:32632\n500000 5390000 nan 10 20 a.jpg", "line 2: 'nan' is not a finite number"),
         ("EPSG:32632\n1e30 5390000 300 10 20 a.jpg", "line 2: 1e30 5390000 300 is no place in EPSG:32632"),
     ],

@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import InputError, shown
-from .points import number
+from .points import WITH_COMMA, decimal_commas, number
 from .reading import read_text, reason
 
 CONTROL_HINT = (
-    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
+    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by blanks or semicolons. "
     "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
     "is not level), in double quotes where the name has spaces or backslashes. Lines from # on do not count. Or "
     "OpenDroneMap's gcp_list.txt."
 )
 EARTH = "EPSG:4978"  # metres from the Earth's centre, along axes of no map
 UTM = re.compile(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
+QUOTED = re.compile(r'"[^"]*"')
 SYSTEM = re.compile(rf"\s*({UTM.pattern}|EPSG:\d+|.*\+proj=.*)\s*", re.IGNORECASE)
 
 
@@ -54,11 +55,14 @@ def read_control_file(path: Path) -> ControlFile:
     A first line that names a coordinate reference system makes it OpenDroneMap's: ``EPSG:32632``, ``WGS84 UTM 32N`` or
     a PROJ string, then lines ``X Y Z COLUMN ROW PICTURE [NAME ...]``. Their metres are geocentric (`EARTH`), so that
     distances are those in space, whatever the map's units and its scale at that place.
+
+    Columns end at blanks or, if all lines have some, at semicolons; numbers may have decimal commas then, if none has a
+    point. Empty cells at the end of a line do not count.
     """
     lines = [
-        (row, line.strip())
+        (row, text)
         for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith("#")
+        if (text := line.strip().rstrip("; \t")) and not text.startswith("#")
     ]
     if lines and SYSTEM.fullmatch(lines[0][1]):
         return ControlFile(_joined(_of_project(path, lines[0], lines[1:])), of_project=True)
@@ -74,17 +78,33 @@ def in_line(path: Path, row: int) -> Iterator[None]:
         raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
 
 
-def _of_points(path: Path, lines: Iterable[tuple[int, str]]) -> Iterator[ControlPoint]:
-    """Of lines ``POINT EAST NORTH [UP]``."""
+def _columns(
+    path: Path, lines: Sequence[tuple[int, str]], by_blanks: Callable[[str], list[str]], numbers: slice
+) -> list[tuple[int, list[str]]]:
+    """The row of each of `lines` and its columns: between semicolons if each line has two outside of quotes, as three
+    columns have, else those of `by_blanks`. numbers : the columns of numbers; their decimal commas become points."""
+    semicolons = all(QUOTED.sub("", line).count(";") >= 2 for _, line in lines)
+    rows = []
     for row, line in lines:
         with in_line(path, row):
-            name, *words = shlex.split(line)
+            rows.append((row, [cell.strip(' \t"') for cell in line.split(";")] if semicolons else by_blanks(line)))
+    if semicolons and decimal_commas((cell for _, cells in rows for cell in cells[numbers]), sure=True):
+        for _, cells in rows:
+            cells[numbers] = [c.replace(",", ".") if WITH_COMMA.fullmatch(c) else c for c in cells[numbers]]
+    return rows
+
+
+def _of_points(path: Path, lines: Sequence[tuple[int, str]]) -> Iterator[ControlPoint]:
+    """Of lines ``POINT EAST NORTH [UP]``."""
+    for row, columns in _columns(path, lines, shlex.split, slice(1, None)):
+        with in_line(path, row):
+            name, *words = columns
             if len(words) not in (2, 3):
                 raise ValueError(f"{len(words)} coordinates in metres")
             yield ControlPoint(row, tuple(number(word) for word in words), (name,))
 
 
-def _of_project(path: Path, head: tuple[int, str], lines: Iterable[tuple[int, str]]) -> Iterator[ControlPoint]:
+def _of_project(path: Path, head: tuple[int, str], lines: Sequence[tuple[int, str]]) -> Iterator[ControlPoint]:
     """Of lines ``X Y Z COLUMN ROW PICTURE [NAME ...]`` in the coordinate reference system that `head` names."""
     import pyproj
 
@@ -97,9 +117,8 @@ def _of_project(path: Path, head: tuple[int, str], lines: Iterable[tuple[int, st
         raise InputError(
             f"{path}, line {row}: {shown(name)!r} is no coordinate reference system on Earth", CONTROL_HINT
         ) from error
-    for row, line in lines:
+    for row, words in _columns(path, lines, str.split, slice(5)):
         with in_line(path, row):
-            words = line.split()
             if len(words) < 6:
                 raise ValueError(f"{len(words)} words, where X Y Z COLUMN ROW PICTURE are six")
             x, y, z, *_ = map(number, words[:5])

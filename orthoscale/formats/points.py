@@ -37,6 +37,8 @@ def number(text: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
+        if MAYBE_THOUSANDS.fullmatch(text):
+            raise ValueError(f"{shown(text)!r} is {text.replace(',', '.')} or {text.replace(',', '')}: write which")
         if WITH_COMMA.fullmatch(text):
             raise ValueError(f"{shown(text)!r} has a decimal comma: write {text.replace(',', '.')}")
         raise ValueError(f"{shown(text)!r} is not a finite number")
