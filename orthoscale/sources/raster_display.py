@@ -28,6 +28,9 @@ of the cars of a car park are more; holes of a mosaic are larger than spots, or 
 SHOWN = (0.5, 99.5)
 """Percentiles of the values that become 0 and 255, where they are not of 8 bit."""
 
+OF_8_BIT = (257, 256)
+"""Factors by which programs make 16 bits of 8: 255 becomes 65535, or a byte moves up."""
+
 Damage = Callable[[str], AbstractContextManager[None]]
 """Turns GDAL's errors within it into what is told of damage; given where that is."""
 
@@ -88,7 +91,7 @@ class Display:
         with np.errstate(over="ignore"):  # of what fills borders: 1e38 and more
             scaled = (values.astype(np.float32) - low) * (255 / (high - low))
         scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
-        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+        return np.clip(np.floor(scaled + 0.5), 0, 255).astype(np.uint8)  # halves upwards, as GDAL rounds averages
 
 
 def _colour_bands(path: Path, dataset: DatasetReader) -> list[int]:
@@ -185,7 +188,8 @@ def _nodata_masks(
 def _stretch(
     dataset: DatasetReader, bands: list[int], damage: Damage, notes: list[Remark]
 ) -> tuple[float, float] | None:
-    """The percentiles SHOWN of samples of the `bands`, or None for plain 8 bit."""
+    """The percentiles SHOWN of samples of the `bands`, or what 0 and 255 became where all are values of 8 bit times one
+    of OF_8_BIT: stretched, such pictures measured otherwise than their originals. None for plain 8 bit."""
     dtypes = {dataset.dtypes[b - 1] for b in bands}
     bits = dataset.tags(bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
     if dtypes == {"uint8"} and int(bits) == 8:
@@ -198,6 +202,11 @@ def _stretch(
         sample = pixels[:, known].ravel()
         values.append(sample[np.isfinite(sample)])
     sample = _without_fill(np.concatenate(values))
+    if dtypes == {"uint16"} and sample.any():
+        for factor in OF_8_BIT:
+            if not (sample % factor).any():
+                notes.append(Remark(INFO, f"uint16 values are those of 8 bit times {factor}: shown as they were"))
+                return 0.0, 255.0 * factor
     low, high = (float(v) for v in np.percentile(sample, SHOWN)) if len(sample) else (0.0, 1.0)
     high = high if high > low else low + 1
     notes.append(Remark(INFO, f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"))
