@@ -10,6 +10,7 @@ import pytest
 from support.blocks import Conditions, fly
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring import oblique
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
@@ -46,7 +47,8 @@ def test_a_focal_length_that_is_too_long_leaves_footprints_alone():
 
 
 @pytest.mark.slow
-def test_vehicles_beyond_the_points_count():
+def test_vehicles_beyond_the_points_count(monkeypatch):
+    monkeypatch.setattr(oblique, "VIEW_HEIGHT_SD", 0.0)  # what lasts is the ground's alone
     block = fly(np.random.default_rng(5), FLEET, Conditions("nadir", points=1500, vehicles=40), unsure=False)
     everywhere = measure_source(block.source, block.found, FLEET)
     model = block.source._model
