@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -89,10 +89,18 @@ class MeasurerCard:
         values = {name: getattr(entry, name) for name in entry.__struct_fields__}
         return cls(**{**values, "ruler": entry.ruler.ruler})
 
-    def outward(self, sigma: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px]."""
+    def sure_sigma(self, length: np.ndarray, pixel: float = 1.0) -> np.ndarray:
+        """(N, 1) sigma of a sure edge of vehicles of `length` (N,) [px], looked at in pixels of `pixel` each [px]."""
         share, px = self.sure
-        excess = sigma - np.hypot(share * length, px)[:, None]
+        return np.hypot(share * length, px * pixel)[:, None]
+
+    def outward(self, sigma: np.ndarray, length: np.ndarray, pixel: float = 1.0, soft: float = 1.0) -> np.ndarray:
+        """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px].
+
+        pixel : of those that were looked at [px]. soft : how many times as unsure a sure edge is there
+            (`soft.softness`).
+        """
+        excess = sigma - soft * self.sure_sigma(length, pixel)
         return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
@@ -147,6 +155,11 @@ class Measured:
         """What has these `rows` (N, 19), with the scores (N,) of the proposed boxes."""
         xylwa, sigma, seen, kind, light = np.split(rows, FIRST_COLUMNS, axis=1)
         return cls.along(xylwa, score, sigma, seen, kind, light[:, 0])
+
+    def moved_out(self, outward: np.ndarray) -> Measured:
+        """The same with edges farther out by `outward` (N, 4) [px], and less certain for that."""
+        boxes = replace(self.boxes, xylwa=moved_out(self.boxes.xylwa, outward))
+        return replace(self, boxes=boxes, sigma=np.hypot(self.sigma, MOVED_SD * outward))
 
     @property
     def size_sigma(self) -> np.ndarray:
@@ -233,14 +246,18 @@ class Measurer:
     ) -> Measured:
         """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read.
 
+        Edges are where the network tells them; how far unsure ones are to be moved out, all of a scene's tell
+        (`soft.softness`).
         enlarged : the picture is looked at so many times smaller. What is told stays in its pixels; the card's margin
             and noise are so many times as large.
         """
         return self._look([_window(picture, box, enlarged) for box in boxes.xylwa], boxes, looks, float(enlarged))
 
     def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
-        """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB."""
-        return self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
+        """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB, that are sharp: unsure edges are
+        moved out."""
+        told = self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
+        return told.moved_out(self.card.outward(told.sigma, told.boxes.length))
 
     def _look(
         self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int, enlarged: float = 1.0
@@ -259,10 +276,8 @@ class Measurer:
             cut_along = proposed
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
         light = np.array([lightness(*each) for each in zip(crops, cut_along[:, 2:4] / steps[:, None], strict=True)])
-        sigma = sigma * steps[:, None]
-        outward = self.card.outward(sigma, proposed[:, 2])
-        found = moved_out(proposed, outward) * units + corner
-        return Measured.along(found, boxes.score, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind, light)
+        sigma = enlarged * sigma * steps[:, None]
+        return Measured.along(proposed * units + corner, boxes.score, sigma, seen, kind, light)
 
 
 def _window(picture: Picture, box: np.ndarray, enlarged: Fraction) -> tuple[np.ndarray, np.ndarray]:

@@ -25,8 +25,9 @@ from ..system.threads import Threads
 from .cache import Kept, as_text, content_key
 from .enlarged import enlargement
 from .find import Effort
-from .measurer import Measured, Measurer
+from .measurer import Measured, Measurer, MeasurerCard
 from .shade import DARK, shadows
+from .soft import of_soft, softness
 from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
@@ -81,6 +82,8 @@ def remeasured(
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
         told = _looked_at(by_name, proposed, measurer, enlarged, worker_count(effort.workers), kept, progress)
+    card, pixel = measurer.card, float(enlarged)
+    told, soft = _moved_out(told, card, pixel)
     told, too_large = _without_shadows(told)
     change = _change(
         Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
@@ -97,23 +100,22 @@ def remeasured(
         if not vehicle[name].all():
             aside[name] = proposed[name][~vehicle[name]]
     no_vehicles = sum(map(len, aside.values()))
-    card = measurer.card
     return replace(
         found.setting_aside(WHY_NONE, aside),
         boxes=boxes,
-        ruler=_in_detector_pixels(_of_enlarged(card.ruler, enlarged), found.zoom * float(enlarged)),
+        ruler=_in_detector_pixels(of_soft(_of_enlarged(card.ruler, enlarged), soft), found.zoom * pixel),
         effective_height=card.effective_height,
         undercut=card.undercut,
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
         detector_sha256=measurer.sha256,
-        notes=(*found.notes, *_notes(no_vehicles, too_large, enlarged)),
+        notes=(*found.notes, *_notes(no_vehicles, too_large, enlarged, soft)),
     )
 
 
-def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction) -> Iterator[str]:
+def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction, soft: float) -> Iterator[str]:
     """What measuring changed, for the report. no_vehicles : boxes that do not count any more. too_large : (2,) log of
-    what was taken off dark vehicles. enlarged : by how much the pictures had been."""
+    what was taken off dark vehicles. enlarged : by how much the pictures had been. soft : of `softness`."""
     if no_vehicles:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     if too_large.any():
@@ -121,6 +123,8 @@ def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction) -> Itera
         yield f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off"
     if enlarged > 1:
         yield f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
+    if soft > 1:
+        yield f"the picture is soft: its edges are {soft:.1f} times as unsure as sharp ones"
 
 
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
@@ -160,6 +164,19 @@ def _looked_at(
             if progress:
                 progress("Measuring vehicles", done, len(jobs))
     return {name: Measured.of_rows(np.array(rows[name]), boxes.score) for name, boxes in proposed.items()}
+
+
+def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -> tuple[dict[str, Measured], float]:
+    """The same with unsure edges moved out as far as they lie inside; how soft the pictures are (`softness`).
+
+    pixel : of those that were looked at [px].
+    """
+    if not (card.inward and any(card.sure) and told):
+        return dict(told), 1.0
+    every = [(t.sigma / card.sure_sigma(t.boxes.length, pixel))[t.kind[:, -1] < NONE] for t in told.values()]
+    soft = softness(np.concatenate(every))
+    moved = {name: t.moved_out(card.outward(t.sigma, t.boxes.length, pixel, soft)) for name, t in told.items()}
+    return moved, soft
 
 
 def _without_shadows(told: Mapping[str, Measured]) -> tuple[dict[str, Measured], np.ndarray]:
