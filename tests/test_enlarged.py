@@ -13,6 +13,7 @@ from orthoscale.detect.enlarged import enlargement
 from orthoscale.detect.find import Effort
 from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard, _window
 from orthoscale.detect.remeasure import remeasured
+from orthoscale.detect.windows import windows_about
 from orthoscale.sources.picture_file import resized
 
 
@@ -55,17 +56,21 @@ def times(pixels, boxes, factor):
     return cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC), boxes.mapped(factor)
 
 
+def about(pixels, boxes):
+    return windows_about({"pixels": Pixels(pixels)}, {"pixels": boxes})
+
+
 @pytest.mark.parametrize("factor", [1, 2, 3, 4])
 def test_by_how_much_a_picture_is_enlarged_is_seen(factor):
     """Never more than it is, so that nothing is lost."""
     pixels, boxes = times(*car_park(), factor)
-    assert factor / 1.5 <= enlargement({"pixels": Pixels(pixels)}, {"pixels": boxes}) <= factor
-    assert enlargement({"pixels": Pixels(pixels[::factor, ::factor])}, {"pixels": boxes.mapped(1 / factor)}) == 1
+    assert factor / 1.5 <= enlargement(about(pixels, boxes)) <= factor
+    assert enlargement(about(pixels[::factor, ::factor], boxes.mapped(1 / factor))) == 1
 
 
 def test_where_nothing_was_found_nothing_is_reduced():
-    assert enlargement({}, {}) == 1
-    assert enlargement({"pixels": Pixels(np.zeros((9, 9, 3), np.uint8))}, {"pixels": Boxes.empty()}) == 1
+    assert enlargement(windows_about({}, {})) == 1
+    assert enlargement(about(np.zeros((9, 9, 3), np.uint8), Boxes.empty())) == 1
 
 
 @pytest.mark.parametrize("enlarged", [Fraction(1), Fraction(5, 4), Fraction(3, 2), Fraction(3)])
@@ -100,7 +105,7 @@ class Knows:
 
     card, sha256 = MeasurerCard("a measurer", Ruler(margin_sd=(0.2, 0.1)), (2.0, 3.0), (0.8, 0.8), "cuboid"), "measurer"
 
-    def __call__(self, picture, boxes, enlarged):
+    def __call__(self, picture, boxes, enlarged, contrast):
         n = len(boxes)
         kind = np.repeat([[0.7, 0.1, 0.1, 0.1, 0.0]], n, 0)
         return Measured(boxes, np.full((n, 4), 0.3), np.ones((n, 4)), kind, np.full(n, np.nan))
@@ -113,7 +118,7 @@ def test_where_pixels_show_less_than_they_are_edges_are_less_sure():
         pixels, boxes = times(*car_park(), factor)
         found = Detections({"pixels": boxes}, 1.0, UNKNOWN_RULER, (0.7, 0.5), "a detector", "detector")
         got = remeasured([Pixels(pixels)], found, Knows(), Effort(workers=1, cache=False))
-        of_fine = float(enlargement({"pixels": Pixels(pixels)}, {"pixels": boxes}))
+        of_fine = float(enlargement(about(pixels, boxes)))
         margins.append(np.array(got.ruler.margin_sd) / of_fine)  # in pixels of what it shows
     assert margins[0] == pytest.approx((0.2, 0.1))
     assert (margins[1] > [0.9, 0.6]).all() and (margins[1] < [1.5, 1.0]).all()

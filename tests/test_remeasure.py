@@ -42,7 +42,7 @@ class Sees:
     def __init__(self, truth: Boxes) -> None:
         self.truth, self.looks = truth, 0
 
-    def __call__(self, picture: object, boxes: Boxes, enlarged: Fraction) -> Measured:
+    def __call__(self, picture: object, boxes: Boxes, enlarged: Fraction, contrast: float) -> Measured:
         self.looks += len(boxes)
         apart = np.linalg.norm(boxes.centre[:, None] - self.truth.centre, axis=2)
         near = apart.argmin(1)

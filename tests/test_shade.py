@@ -10,7 +10,18 @@ from test_remeasure import QUIET, Sees, found, proposed
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import Measured
 from orthoscale.detect.remeasure import remeasured
-from orthoscale.detect.shade import DARK, LEAST_PAINTED, LIGHT, OF_PAINT_SD, SHADOW_SD, lightness, shadows
+from orthoscale.detect.shade import (
+    CLEAR_RANGE,
+    DARK,
+    LEAST_PAINTED,
+    LIGHT,
+    OF_PAINT_SD,
+    SHADOW_CONTRAST,
+    SHADOW_SD,
+    lightness,
+    shadow_contrast,
+    shadows,
+)
 
 SIZE = np.array([56.0, 24.0])
 
@@ -30,6 +41,40 @@ def test_paint_is_told_between_shadow_and_ground(paint, expected):
 
 def test_where_nothing_casts_a_shadow_nothing_is_told():
     assert np.isnan(lightness(crop(20, shadow=110), SIZE))
+
+
+@pytest.mark.parametrize("gain, contrast", [(1.0, SHADOW_CONTRAST), (0.5, 0.5 * SHADOW_CONTRAST * 220 / CLEAR_RANGE)])
+def test_haze_leaves_less_of_shadows(gain, contrast):
+    """They are as much less dark as everything is; a clear picture's are what they were."""
+    windows = [np.tile(np.linspace(20, 240, 111), (50, 1)) * gain + 255 * (1 - gain) / 2] * 3
+    assert shadow_contrast(windows) == pytest.approx(contrast, rel=0.03)
+    assert shadow_contrast([]) == SHADOW_CONTRAST
+
+
+def test_in_haze_paint_is_told_as_in_clear_air():
+    hazy = (crop(40, shadow=70) * 0.5 + 110).astype(np.uint8)
+    assert np.isnan(lightness(hazy, SIZE, 30.0))
+    assert lightness(hazy, SIZE, 20.0) == pytest.approx(lightness(crop(40, shadow=70), SIZE), abs=0.05)
+
+
+class SeesThroughHaze(Sees):
+    """Keeps how dark shadows had to be."""
+
+    def __call__(self, *args: object, **options: object) -> Measured:
+        self.contrast = options["contrast"]
+        return super().__call__(*args, **options)
+
+
+def test_how_dark_shadows_must_be_the_picture_tells():
+    truth = Boxes(np.array([[150.0 * k + 100, 100, 60, 25, 0] for k in range(8)]), np.ones(8))
+    clear, hazy = Drawing(1300, 300, truth), Drawing(1300, 300, truth)
+    hazy.read = lambda *where: (clear.read(*where) * 0.3 + 120).astype(np.uint8)
+    told = []
+    for picture in (clear, hazy):
+        sees = SeesThroughHaze(truth)
+        remeasured([picture], found(proposed(truth)), sees, QUIET)
+        told.append(sees.contrast)
+    assert told[1] < 0.5 * told[0] <= 0.5 * SHADOW_CONTRAST
 
 
 def scene(larger: tuple[float, float], dark: int, light: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

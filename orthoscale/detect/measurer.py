@@ -25,7 +25,7 @@ from ..formats.reading import checked, parsed
 from .detector import load_network
 from .enlarged import AS_IT_IS
 from .foreign import ForeignError
-from .shade import lightness
+from .shade import SHADOW_CONTRAST, lightness
 
 SHIPPED_MEASURER = "measurer.onnx"
 
@@ -242,16 +242,22 @@ class Measurer:
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
     def __call__(
-        self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH, enlarged: Fraction = AS_IT_IS
+        self,
+        picture: Picture,
+        boxes: Boxes,
+        looks: int = PASSES_EACH,
+        enlarged: Fraction = AS_IT_IS,
+        contrast: float = SHADOW_CONTRAST,
     ) -> Measured:
         """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read.
 
         Edges are where the network tells them; how far unsure ones are to be moved out, all of a scene's tell
         (`soft.softness`).
         enlarged : the picture is looked at so many times smaller. What is told stays in its pixels; the card's margin
-            and noise are so many times as large.
+            and noise are so many times as large. contrast : of shadows, at least (`shade.shadow_contrast`).
         """
-        return self._look([_window(picture, box, enlarged) for box in boxes.xylwa], boxes, looks, float(enlarged))
+        windows = [_window(picture, box, enlarged) for box in boxes.xylwa]
+        return self._look(windows, boxes, looks, float(enlarged), contrast)
 
     def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
         """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB, that are sharp: unsure edges are
@@ -260,7 +266,12 @@ class Measurer:
         return told.moved_out(self.card.outward(told.sigma, told.boxes.length))
 
     def _look(
-        self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int, enlarged: float = 1.0
+        self,
+        windows: Sequence[tuple[np.ndarray, np.ndarray]],
+        boxes: Boxes,
+        looks: int,
+        enlarged: float = 1.0,
+        contrast: float = SHADOW_CONTRAST,
     ) -> Measured:
         """windows : pixels around each vehicle, `enlarged` times fewer than the picture's, and where their first corner
         lies in the picture."""
@@ -275,7 +286,8 @@ class Measurer:
             edges, sigma, turn, seen, kind = self._run(crops)
             cut_along = proposed
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
-        light = np.array([lightness(*each) for each in zip(crops, cut_along[:, 2:4] / steps[:, None], strict=True)])
+        sizes = cut_along[:, 2:4] / steps[:, None]
+        light = np.array([lightness(*each, contrast) for each in zip(crops, sizes, strict=True)])
         sigma = enlarged * sigma * steps[:, None]
         return Measured.along(proposed * units + corner, boxes.score, sigma, seen, kind, light)
 

@@ -7,10 +7,11 @@ scores, and these tell by how much the detector's boxes of this scene are too la
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
@@ -26,8 +27,9 @@ from .cache import Kept, as_text, content_key
 from .enlarged import enlargement
 from .find import Effort
 from .measurer import Measured, Measurer, MeasurerCard
-from .shade import DARK, shadows
+from .shade import DARK, shadow_contrast, shadows
 from .soft import of_soft, softness
+from .windows import windows_about
 from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
@@ -76,12 +78,14 @@ def remeasured(
     if not chosen and len(found):
         return found  # nothing that was found is at hand
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
-    enlarged = enlargement(by_name, proposed)
-    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged)}
+    windows = windows_about(by_name, proposed)
+    enlarged, contrast = enlargement(windows), shadow_contrast(windows)
+    look = partial(measurer, enlarged=enlarged, contrast=contrast)
+    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "contrast": contrast}
     key = content_key([by_name[name] for name in chosen], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
-        told = _looked_at(by_name, proposed, measurer, enlarged, worker_count(effort.workers), kept, progress)
+        told = _looked_at(by_name, proposed, look, worker_count(effort.workers), kept, progress)
     card, pixel = measurer.card, float(enlarged)
     told, soft = _moved_out(told, card, pixel)
     told, too_large = _without_shadows(told)
@@ -141,13 +145,12 @@ def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
 def _looked_at(
     pictures: Mapping[str, Picture],
     proposed: Mapping[str, Boxes],
-    measurer: Measurer,
-    enlarged: Fraction,
+    look: Callable[[Picture, Boxes], Measured],
     workers: int,
     kept: Kept | None,
     progress: Progress | None,
 ) -> dict[str, Measured]:
-    """What the measurer says of the `proposed` boxes of each picture; what was `kept` is not looked at again."""
+    """What a `look` says of the `proposed` boxes of each picture; what was `kept` is not looked at again."""
     rows: dict[str, list[np.ndarray | None]] = {}
     jobs = []
     for name, boxes in proposed.items():
@@ -155,9 +158,9 @@ def _looked_at(
         new = [k for k, row in enumerate(rows[name]) if row is None]
         jobs += [(name, np.array(new[k : k + AT_A_TIME])) for k in range(0, len(new), AT_A_TIME)]
     with Threads(workers) as pool:
-        looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]], enlarged=enlarged), jobs)
-        for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
-            for k, row in zip(index, look.rows, strict=True):
+        looks = pool.map(lambda job: look(pictures[job[0]], proposed[job[0]][job[1]]), jobs)
+        for done, ((name, index), told) in enumerate(zip(jobs, looks, strict=True), 1):
+            for k, row in zip(index, told.rows, strict=True):
                 rows[name][k] = row
                 if kept is not None:
                     kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())

@@ -14,9 +14,10 @@ import numpy as np
 from ..core.ruler import Ruler
 
 # What is not known of the margin in soft pictures: one sigma of length and width [px of those looked at], times the
-# part of a sure edge's sigma that is softness. By so much the same vehicles differ on average between places as they are
-# and 52 soft copies of them: nine places of 16 to 47 px, blurred by 1 to 3 px, with noise, sharpened again, shaken, in
-# JPEG of quality 15 or 30, or enlarged by repeating pixels (2026-11-27; with a place left out 0.86 to 0.98, 0.34 to 0.48).
+# part of a sure edge's sigma that is softness. By so much the same vehicles differ on average between places as they
+# are and 52 soft copies of them: nine places of 16 to 47 px, blurred by 1 to 3 px, with noise, sharpened again, shaken,
+# in JPEG of quality 15 or 30, or enlarged by repeating pixels (2026-11-27). With a place left out it is 0.86 to 0.98
+# and 0.34 to 0.48.
 SOFT_SD = (0.95, 0.45)
 
 

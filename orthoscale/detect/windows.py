@@ -1,0 +1,27 @@
+"""Windows about some of the found vehicles: what they and their surroundings look like in these pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from ..core.boxes import Boxes
+from ..core.source import Picture
+
+AT_MOST = 30  # windows; what is asked of them are medians and quantiles of them all
+
+
+def windows_about(pictures: Mapping[str, Picture], boxes: Mapping[str, Boxes]) -> list[np.ndarray]:
+    """Grey windows (H, W), uint8, about some `boxes`, evenly chosen from all; two of their lengths wide."""
+    every = [(name, box) for name, some in boxes.items() for box in some.xylwa]
+    chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, AT_MOST).astype(int))] if every else []
+    return [_window(pictures[name], box) for name, box in chosen]
+
+
+def _window(picture: Picture, box: np.ndarray) -> np.ndarray:
+    limit = np.array([picture.width, picture.height])
+    x, y = low = np.clip(np.floor(box[:2] - box[2]), 0, limit - 1).astype(int)
+    width, height = (np.clip(np.ceil(box[:2] + box[2]), low + 1, limit).astype(int) - low).tolist()
+    return np.asarray(cv2.cvtColor(picture.read(int(x), int(y), width, height, width, height), cv2.COLOR_RGB2GRAY))
