@@ -43,6 +43,11 @@ def _blurred(pixels: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.GaussianBlur(pixels, (0, 0), sigma)
 
 
+def _noisy(pixels: np.ndarray, sd: float) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, sd, pixels.shape)
+    return np.clip(pixels + noise, 0, 255).astype(np.uint8)
+
+
 def _toned(pixels: np.ndarray, gamma: float, gain: float, shift: float) -> np.ndarray:
     levels = 255 * (np.arange(256) / 255) ** gamma * gain + shift
     return cv2.LUT(pixels, levels.clip(0, 255).round().astype(np.uint8))
@@ -88,6 +93,7 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     "turned by 33 degrees": (1, lambda p: _turned(p, 33)),
     "blurred by 1 px": (1, lambda p: _blurred(p, 1.0)),
     "blurred by 2 px": (1, lambda p: _blurred(p, 2.0)),
+    "blurred by 2 px, noisy": (1, lambda p: _noisy(_blurred(p, 2.0), 5.0)),
     "0.7 times as large": (0.7, lambda p: _resized(p, 0.7, cv2.INTER_AREA)),
     "half as large": (0.5, lambda p: _resized(p, 0.5, cv2.INTER_AREA)),
     "enlarged twice (linear)": (2, lambda p: _resized(p, 2, cv2.INTER_LINEAR)),

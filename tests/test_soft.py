@@ -16,7 +16,7 @@ from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MOVED_SD, Measured, Measurer
 from orthoscale.detect.remeasure import remeasured
-from orthoscale.detect.soft import SOFT_SD, of_soft, softness
+from orthoscale.detect.soft import GROWS, SOFT_SD, of_soft, softness
 from training.evaluate import measured_scenes
 
 SURE = (0.01, 0.3)
@@ -58,7 +58,7 @@ def measured(unsure: float) -> tuple[Boxes, Detections]:
 def test_most_edges_of_a_sharp_picture_are_sure():
     assert softness(np.full((20, 4), 0.8)) == 1
     assert softness(np.array([[0.6, 0.7, 2.5, 3.0], [0.8, 0.9, 0.7, 4.0]])) == 1, "some may always be at two places"
-    assert softness(np.full((20, 4), [1.3, 1.5, 1.5, 1.7])) == pytest.approx(1.5)
+    assert softness(np.full((20, 4), [1.3, 1.5, 1.5, 1.7])) == pytest.approx(1.5**GROWS)
     assert softness(np.empty((0, 4))) == 1
 
 
@@ -73,15 +73,16 @@ def test_unsure_edges_of_a_sharp_picture_are_moved_out():
 
 def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure():
     boxes, got = measured(1.6)
+    soft = 1.6**GROWS
     larger, unsure = boxes.xylwa[:, 2:4] - [LENGTH, WIDTH], at_two_places(boxes)
-    outward = 2.0 * (3 - 1) * 1.6 * SURE_SIGMA
+    outward = 2.0 * (3 * 1.6 - soft) * SURE_SIGMA
     assert larger[~unsure] == pytest.approx(0) and larger[unsure] == pytest.approx(2 * outward)
     sigma = boxes.sigma[:, 0] * boxes.length / CARD.sigma_times[0] / np.sqrt(2)
     assert sigma[~unsure] == pytest.approx(1.6 * SURE_SIGMA)
     assert sigma[unsure] == pytest.approx(np.hypot(3 * 1.6 * SURE_SIGMA, MOVED_SD * outward)), "less certain for that"
-    more = np.array(SOFT_SD) * np.sqrt(1 - 1.6**-2)
+    more = np.array(SOFT_SD) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
-    assert "the picture is soft: its edges are 1.6 times as unsure as sharp ones" in got.notes
+    assert "the picture is soft: its edges are 2.0 times as unsure as sharp ones" in got.notes
 
 
 def test_the_softer_the_less_is_known_of_edges_and_of_sharp_ones_nothing_changes():
