@@ -93,7 +93,7 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     "turned by 33 degrees": (1, lambda p: _turned(p, 33)),
     "blurred by 1 px": (1, lambda p: _blurred(p, 1.0)),
     "blurred by 2 px": (1, lambda p: _blurred(p, 2.0)),
-    "blurred by 2 px, noisy": (1, lambda p: _noisy(_blurred(p, 2.0), 5.0)),
+    "blurred by 2 px and noisy": (1, lambda p: _noisy(_blurred(p, 2.0), 5.0)),
     "0.7 times as large": (0.7, lambda p: _resized(p, 0.7, cv2.INTER_AREA)),
     "half as large": (0.5, lambda p: _resized(p, 0.5, cv2.INTER_AREA)),
     "enlarged twice (linear)": (2, lambda p: _resized(p, 2, cv2.INTER_LINEAR)),
