@@ -8,15 +8,18 @@ import cv2
 import numpy as np
 import pytest
 from support.drawings import Drawing
-from test_enlarged import Pixels
+from test_enlarged import Pixels, times
+from test_enlarged import car_park as asphalt
 from test_remeasure import CARD, QUIET, Sees, found, proposed
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
+from orthoscale.detect.enlarged import enlargement
 from orthoscale.detect.measurer import MOVED_SD, Measured, Measurer
 from orthoscale.detect.remeasure import remeasured
 from orthoscale.detect.soft import GROWS, SOFT_SD, of_soft, softness
+from orthoscale.detect.windows import windows_about
 from training.evaluate import measured_scenes
 
 SURE = (0.01, 0.3)
@@ -90,6 +93,26 @@ def test_the_softer_the_less_is_known_of_edges_and_of_sharp_ones_nothing_changes
     assert of_soft(ruler, 1.0) == ruler
     sds = np.array([of_soft(ruler, soft).margin_sd for soft in (1.0, 1.05, 1.3, 2.0, 5.0)])
     assert (np.diff(sds, axis=0) > 0).all() and (sds[-1] < np.hypot(ruler.margin_sd, SOFT_SD)).all()
+
+
+def test_edges_of_an_enlarged_picture_are_as_sure_as_its_pixels_are_large():
+    """They are looked at in fewer pixels, and sure as far as these go."""
+    pixels, boxes = times(*asphalt(), 4)
+    enlarged = float(enlargement(windows_about({"pixels": Pixels(pixels)}, {"pixels": boxes})))
+    assert enlarged > 1.5
+
+    class Sure(Sees):
+        card = Unsure.card
+
+        def __call__(self, *args: object, **options: object) -> Measured:
+            told = super().__call__(*args, **options)
+            return replace(told, sigma=np.repeat(self.card.sure_sigma(told.boxes.length, enlarged), 4, 1))
+
+    seen = Detections({"pixels": boxes}, 1.0, UNKNOWN_RULER, (0.7, 0.5), "a detector", "detector")
+    got = remeasured([Pixels(pixels)], seen, Sure(boxes), QUIET)
+    assert got.boxes["pixels"].xylwa == pytest.approx(boxes.xylwa)
+    assert any("times the pixels" in note for note in got.notes)
+    assert not any("soft" in note for note in got.notes)
 
 
 @pytest.mark.real
