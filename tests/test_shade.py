@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from support.drawings import Drawing
+from test_enlarged import Pixels
 from test_remeasure import QUIET, Sees, found, proposed
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.measurer import Measured
+from orthoscale.detect.measurer import Measured, Measurer
 from orthoscale.detect.remeasure import remeasured
 from orthoscale.detect.shade import (
     CLEAR_RANGE,
@@ -75,6 +77,14 @@ def test_how_dark_shadows_must_be_the_picture_tells():
         remeasured([picture], found(proposed(truth)), sees, QUIET)
         told.append(sees.contrast)
     assert told[1] < 0.5 * told[0] <= 0.5 * SHADOW_CONTRAST
+
+
+def test_the_measurer_tells_paint_by_how_dark_shadows_must_be():
+    hazy = cv2.copyMakeBorder((crop(40, shadow=70) * 0.3 + 110).astype(np.uint8), 60, 60, 60, 60, cv2.BORDER_REPLICATE)
+    boxes = Boxes(np.array([[60 + 48.0, 60 + 24.0, 56, 24, 0]]), np.ones(1))
+    measurer, picture = Measurer(), Pixels(hazy)
+    assert np.isnan(measurer(picture, boxes, looks=1).light[0])
+    assert measurer(picture, boxes, looks=1, contrast=10.0).light[0] < 1
 
 
 def scene(larger: tuple[float, float], dark: int, light: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,8 @@ SURE_SIGMA = np.hypot(SURE[0] * LENGTH, SURE[1])
 
 
 class Unsure(Sees):
-    """Says of edges that their sigma is `unsure` times that of sure ones, of one vehicle in four thrice that."""
+    """Says of edges that their sigma is `unsure` times that of sure ones, of one vehicle in four thrice that; of what is
+    no vehicle ten times."""
 
     card = replace(CARD, inward=2.0, sure=SURE)
 
@@ -39,7 +40,8 @@ class Unsure(Sees):
 
     def __call__(self, *args: object, **options: object) -> Measured:
         told = super().__call__(*args, **options)
-        sigma = self.unsure * SURE_SIGMA * np.where(at_two_places(told.boxes), 3.0, 1.0)
+        none = told.kind[:, -1] > 0.5
+        sigma = self.unsure * SURE_SIGMA * np.where(none, 10.0, np.where(at_two_places(told.boxes), 3.0, 1.0))
         return replace(told, sigma=np.repeat(sigma[:, None], 4, 1))
 
 
@@ -48,12 +50,14 @@ def at_two_places(boxes: Boxes) -> np.ndarray:
     return boxes.centre[:, 0].round() % 4 == 0
 
 
-def measured(unsure: float) -> tuple[Boxes, Detections]:
-    """What is made of 80 vehicles, sorted by their places, and all of the detections."""
+def measured(unsure: float, vehicles: int = 80) -> tuple[Boxes, Detections]:
+    """What is made of 80 boxes, so many of them `vehicles`, sorted by their places, and all of the detections."""
     x, y = np.meshgrid(np.arange(10) * 150 + 100, np.arange(8) * 120 + 100)
     centre = np.c_[x.ravel() + np.arange(80) % 4, y.ravel()]
     truth = Boxes(np.c_[centre, np.tile([LENGTH, WIDTH, 0.0], (80, 1))], np.ones(80))
-    got = remeasured([Drawing(1800, 1200, truth)], found(proposed(truth), ZOOM), Unsure(truth, unsure), QUIET)
+    got = remeasured(
+        [Drawing(1800, 1200, truth)], found(proposed(truth), ZOOM), Unsure(truth[:vehicles], unsure), QUIET
+    )
     boxes = got.boxes["drawing"]
     return boxes[np.lexsort(boxes.centre.T)], got
 
@@ -86,6 +90,11 @@ def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure(
     more = np.array(SOFT_SD) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
     assert "the picture is soft: its edges are 2.0 times as unsure as sharp ones" in got.notes
+
+
+def test_what_is_no_vehicle_says_nothing_of_softness():
+    boxes, got = measured(0.8, vehicles=30)
+    assert len(boxes) == 30 and not any("soft" in note for note in got.notes)
 
 
 def test_the_softer_the_less_is_known_of_edges_and_of_sharp_ones_nothing_changes():
