@@ -29,8 +29,8 @@ SURE_SIGMA = np.hypot(SURE[0] * LENGTH, SURE[1])
 
 
 class Unsure(Sees):
-    """Says of edges that their sigma is `unsure` times that of sure ones, of one vehicle in four thrice that; of what is
-    no vehicle ten times."""
+    """Says of edges that their sigma is `unsure` times that of sure ones, of one vehicle in four thrice that, of what
+    is no vehicle ten times."""
 
     card = replace(CARD, inward=2.0, sure=SURE)
 
