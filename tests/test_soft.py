@@ -89,7 +89,7 @@ def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure(
     assert sigma[unsure] == pytest.approx(np.hypot(3 * 1.6 * SURE_SIGMA, MOVED_SD * outward)), "less certain for that"
     more = np.array(SOFT_SD) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
-    assert "the picture is soft: its edges are 2.0 times as unsure as sharp ones" in got.notes
+    assert "the picture is soft: its edges are 2.02 times as unsure as sharp ones" in got.notes
 
 
 def test_what_is_no_vehicle_says_nothing_of_softness():

@@ -128,7 +128,7 @@ def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction, soft: fl
     if enlarged > 1:
         yield f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
     if soft > 1:
-        yield f"the picture is soft: its edges are {soft:.1f} times as unsure as sharp ones"
+        yield f"the picture is soft: its edges are {soft:.2f} times as unsure as sharp ones"
 
 
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
