@@ -15,10 +15,10 @@ from test_remeasure import CARD, QUIET, Sees, found, proposed
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
-from orthoscale.detect.enlarged import enlargement
+from orthoscale.detect.enlarged import AS_IT_IS, enlargement
 from orthoscale.detect.measurer import MOVED_SD, Measured, Measurer
 from orthoscale.detect.remeasure import remeasured
-from orthoscale.detect.soft import GROWS, SOFT_SD, of_soft, softness
+from orthoscale.detect.soft import GROWS, LESS_SURE, less_sure, softness
 from orthoscale.detect.windows import windows_about
 from training.evaluate import measured_scenes
 
@@ -87,7 +87,7 @@ def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure(
     sigma = boxes.sigma[:, 0] * boxes.length / CARD.sigma_times[0] / np.sqrt(2)
     assert sigma[~unsure] == pytest.approx(1.6 * SURE_SIGMA)
     assert sigma[unsure] == pytest.approx(np.hypot(3 * 1.6 * SURE_SIGMA, MOVED_SD * outward)), "less certain for that"
-    more = np.array(SOFT_SD) * np.sqrt(1 - soft**-2)
+    more = np.array(LESS_SURE) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
     assert "the picture is soft: its edges are 2.02 times as unsure as sharp ones" in got.notes
 
@@ -99,9 +99,9 @@ def test_what_is_no_vehicle_says_nothing_of_softness():
 
 def test_the_softer_the_less_is_known_of_edges_and_of_sharp_ones_nothing_changes():
     ruler = Ruler(margin_sd=(0.2, 0.1))
-    assert of_soft(ruler, 1.0) == ruler
-    sds = np.array([of_soft(ruler, soft).margin_sd for soft in (1.0, 1.05, 1.3, 2.0, 5.0)])
-    assert (np.diff(sds, axis=0) > 0).all() and (sds[-1] < np.hypot(ruler.margin_sd, SOFT_SD)).all()
+    assert less_sure(ruler, AS_IT_IS, 1.0) == ruler
+    sds = np.array([less_sure(ruler, AS_IT_IS, soft).margin_sd for soft in (1.0, 1.05, 1.3, 2.0, 5.0)])
+    assert (np.diff(sds, axis=0) > 0).all() and (sds[-1] < np.hypot(ruler.margin_sd, LESS_SURE)).all()
 
 
 def test_edges_of_an_enlarged_picture_are_as_sure_as_its_pixels_are_large():

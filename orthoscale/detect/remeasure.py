@@ -28,7 +28,7 @@ from .enlarged import enlargement
 from .find import Effort
 from .measurer import Measured, Measurer, MeasurerCard
 from .shade import DARK, shadow_contrast, shadows
-from .soft import of_soft, softness
+from .soft import less_sure, softness
 from .windows import windows_about
 from .workers import worker_count
 
@@ -41,13 +41,6 @@ AT_A_TIME = 8  # boxes that one thread measures at a time
 NONE = 0.5
 WHY_NONE = "in which the measurer saw no vehicle"
 SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
-
-
-# What is not known of the margin where a picture has more pixels than it shows: one sigma of length and width in pixels
-# of what it shows, times the share of the pixels that are too many. Blurred by 1.4 and 2 px, vehicles of four places
-# with 10 to 14 such pixels (`gorinchem`, `tartu_b`, `us_freeway_a`, `us_grey_lots`; 2026-11-24) come out 0.3 to 1.1 px
-# longer and 0.2 to 0.5 px wider, their scales 3 to 9 % smaller; where nothing but pixels was added, they do not.
-ENLARGED_SD = (1.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -107,7 +100,7 @@ def remeasured(
     return replace(
         found.setting_aside(WHY_NONE, aside),
         boxes=boxes,
-        ruler=_in_detector_pixels(of_soft(_of_enlarged(card.ruler, enlarged), soft), found.zoom * pixel),
+        ruler=_in_detector_pixels(less_sure(card.ruler, enlarged, soft), found.zoom * pixel),
         effective_height=card.effective_height,
         undercut=card.undercut,
         body=card.body,
@@ -227,12 +220,6 @@ def _corrected(boxes: Boxes, change: _Change) -> Boxes:
     xylwa = boxes.xylwa.copy()
     xylwa[:, 2:4] *= np.exp(change.log_ratio)
     return replace(boxes, xylwa=xylwa, sigma=np.repeat(change.scatter[None], len(boxes), 0))
-
-
-def _of_enlarged(ruler: Ruler, enlarged: Fraction) -> Ruler:
-    """The measurer's ruler for a picture that had been `enlarged`: it is less sure of where edges lie."""
-    more = np.array(ENLARGED_SD) * float(1 - 1 / enlarged)
-    return replace(ruler, margin_sd=tuple(np.hypot(ruler.margin_sd, more).tolist()))
 
 
 def _in_detector_pixels(ruler: Ruler, zoom: float) -> Ruler:
