@@ -128,7 +128,7 @@ class OwnRuler:
         size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
         if self.undercut.any():
             above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
-            waist_height = np.minimum(self.height, (BEND, self.body.belt))  # up to where ends, and sides, stand straight
+            waist_height = np.minimum(self.height, (BEND, self.body.belt))  # up to where ends and sides stand straight
             nearer = 1 - waist_height / metres_per_unit / above  # it is closer than the ground
             waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
             size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
