@@ -3,7 +3,7 @@
     python examples/make_examples.py --data ../shared/data
 
 `town/` is an orthophoto of a synthetic scene. `sheffield/` is a reduced copy of the real reconstruction: all poses, one
-sparse point in four with their tracks thinned, and the boxes that the shipped detector finds on its frames, so that the
+sparse point in four with their tracks thinned, and the boxes that the shipped networks give in its frames, so that the
 scale can be recovered without the frames (which are not in this repository).
 """
 
@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from orthoscale.actions.find import VehicleSearch, find_in_model
+from orthoscale.actions.find import VehicleSearch, find_in_model, measured_anew
 from orthoscale.detect.detector import Detector
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.requests import EstimateRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -41,7 +42,9 @@ def make_town() -> None:
 def make_sheffield(data: Path) -> None:
     folder, original = HERE / "sheffield", data / "reconstructions" / "sheffield"
     small = reduced(pycolmap.Reconstruction(str(original / "sparse")))
-    found, _ = find_in_model(ColmapSource.open(original), None, VehicleSearch(Detector()))
+    source = ColmapSource.open(original)
+    found, _ = find_in_model(source, None, VehicleSearch(Detector()))
+    found = measured_anew(source, found, EstimateRequest())
     truth = json.loads((original / "truth.json").read_text())
     shutil.rmtree(folder, ignore_errors=True)  # only now: where data lack, the example stays
     (folder / "sparse").mkdir(parents=True)
