@@ -18,18 +18,6 @@ def ground_size(boxes: Boxes, aspect: float = 1.0) -> np.ndarray:
     return boxes.xylwa[:, 2:4] * np.stack([longer, 1 / longer], -1)
 
 
-def footprint(sides: np.ndarray, offset: np.ndarray, top: np.ndarray) -> np.ndarray:
-    """(N, 2) length and width of vehicles in a plan made by one camera, where what is high lies farther out.
-
-    sides, offset : (N, 2) of each box, along its length and its width, and how far from below the camera its middle is
-    in these directions; in heights of the camera, as is `top` (N, 2), up to where the box encloses the vehicle.
-    A point at that height appears ``1 / (1 - top)`` times as far out. So the far side of a box is that of the top, the
-    near side that of the ground, or of the top as well where the camera stands above the vehicle.
-    """
-    near, far = np.abs(offset) - sides / 2, np.abs(offset) + sides / 2
-    return far * (1 - top) - np.where(near > 0, near, near * (1 - top))
-
-
 def square_pixels(aspect: float) -> np.ndarray:
     """(2,) width and height of a pixel that is `aspect` times as wide as high, in square pixels of the same area."""
     wide = np.sqrt(aspect)
