@@ -13,7 +13,7 @@ from support.simulate import DENSEUAV, Body, found_ruler
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection import self_calibration
 from orthoscale.core.projection.exact import BODIES, Hull
-from orthoscale.core.projection.own_ruler import CORNER, UNDERCUT, OwnRuler, SeenBoxes
+from orthoscale.core.projection.own_ruler import CORNER, HIGHEST, UNDERCUT, OwnRuler, SeenBoxes
 from orthoscale.core.projection.self_calibration import self_calibrated, trends
 from orthoscale.core.projection.view import Views
 from orthoscale.fleets import load_fleet
@@ -110,6 +110,17 @@ def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_agai
     apart = np.sqrt(((shares * own.sd[0]) ** 2).sum())
     assert together < 0.8 * apart
     assert 0.5 < abs(own_off) / together < 2, "and what is left is claimed"
+
+
+def test_a_body_as_high_as_any_is_tried_with_an_undercut_too():
+    """The search for one starts from a higher body, which may be none that there is."""
+    van = Body.of("", Hull(2.0, belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06), (5.3, 2.0))
+    seen = [simulate.fly(np.random.default_rng(-p), 60, DENSEUAV, p, van) for p in simulate.PITCHES]
+    ruler = found_ruler(seen, "car")
+    assert np.isfinite(ruler.value).all() and (ruler.height <= HIGHEST).all()
+    higher = OwnRuler.shipped((3.0, 3.0), (0.0, 0.0), (0.25, 0.25), (1.0, 1.0))  # as a file of boxes may say
+    high = SeenBoxes(seen[-1].boxes, seen[-1].views(unit=UNIT), 1.0, UNIT)
+    assert np.isfinite(higher.slopes(high)[np.isfinite(higher.size(high)).all(1)]).any()
 
 
 def test_slopes_do_not_leave_what_bodies_can_be(flight):

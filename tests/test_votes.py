@@ -105,6 +105,8 @@ def test_views_count_by_what_is_known_of_each(told):
     assert vote.lasting[0] == pytest.approx([0.0, noise * np.sqrt(0.1 * 17)])
     alike = gather(Sightings(size, np.ones(3), np.zeros((3, 3)), np.ones(3), sigma, lasting=0 * lasting), True)
     assert alike.size[0] == pytest.approx([4.5, 2.2]), "with equal weights it is the median"
+    sure = gather(Sightings(size, np.ones(3), np.zeros((3, 3)), np.ones(3), 0 * size, lasting=0 * lasting), True)
+    assert sure.size[0] == pytest.approx([4.5, 2.2]), "boxes may say that they are exact"
 
 
 def test_how_often_vehicles_are_seen_is_that_of_most_boxes():

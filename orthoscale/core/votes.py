@@ -18,6 +18,7 @@ USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single 
 # cases; what is moving, in a few more.
 FOUND_IN = 0.8
 USUAL_NOISE = 0.05  # relative one sigma of a box that says nothing of its own, beside `lasting`
+LEAST_NOISE = 1e-3  # the same of one that says it has none
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
 def _weights(sigma: np.ndarray | None, lasting: np.ndarray) -> np.ndarray:
     """(M, 2) of sightings in the middle size of their vehicle: the inverse variances of each."""
     noise = np.full(lasting.shape, USUAL_NOISE) if sigma is None else sigma
-    return 1 / (np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2)
+    return 1 / np.maximum(np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
 
 
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> np.ndarray:

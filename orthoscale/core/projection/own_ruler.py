@@ -141,7 +141,8 @@ class OwnRuler:
         for k in columns:
             change = np.zeros(len(DIFFERENCES))
             change[k] = DIFFERENCES[k]
-            low, high = (np.clip(self.value + sign * change, LOWEST, LARGEST) for sign in (-1, 1))
+            least, most = np.minimum(LOWEST, self.value), np.maximum(LARGEST, self.value)  # a card may say more
+            low, high = (np.clip(self.value + sign * change, least, most) for sign in (-1, 1))
             less, more = (replace(self, value=value).size(seen) for value in (low, high))
             out[:, :, k] = (less - more) / (high - low)[:, k]
         return out
