@@ -178,7 +178,7 @@ def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.1), ("program", 0.15), ("naive", 0.03)]
+    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.13), ("program", 0.15), ("naive", 0.03)]
 )
 def test_every_projection_measures_a_model(projection, off):
     """As far off as their formulas are there, no farther: the paper's text makes scales small, its program large."""

@@ -268,15 +268,17 @@ def test_one_model_has_one_scale_in_every_form(made, tmp_path):
     }
     part["shots"] = dict(reversed(part["shots"].items()))
     path.write_text(json.dumps([part]))
-    # Not the very same: only COLMAP's form has tracks, which tell that such a flat block leaves the focal length open.
-    assert scales_of(path, tmp_path / "boxes.json") == pytest.approx(scales, rel=1e-3)
+    # Not the very same: only COLMAP's form has tracks, which tell that such a flat block leaves the focal length open,
+    # and with it how much of a vehicle's height its boxes show.
+    without_tracks = scales_of(path, tmp_path / "boxes.json")
+    assert without_tracks == pytest.approx(scales, rel=5e-3)
 
     path = nerfstudio(model, tmp_path / "nerfstudio")
     put_frames(model, path.parent / "images")
     renamed = {"boxes": {f"images/{name}": boxes for name, boxes in found.boxes.items()}}
     above = {name.replace("/", "/images/"): boxes for name, boxes in found.planar.boxes.items()}
     save_detections(replace(found, **renamed, planar=replace(found.planar, boxes=above)), tmp_path / "renamed.json")
-    assert scales_of(path, tmp_path / "renamed.json") == pytest.approx(scales, rel=1e-3)
+    assert scales_of(path, tmp_path / "renamed.json") == pytest.approx(without_tracks, rel=1e-3)
 
 
 def scales_of(model, boxes):
