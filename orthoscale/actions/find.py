@@ -170,13 +170,13 @@ def measured_anew(
         return found
     if source.posed is None:
         return remeasured(source.pictures, found, measurer, effort, progress)
-    planar, in_frames = found.planar, replace(found, planar=None)
+    planar = found.planar
     if len(found):
-        in_frames = remeasured(source.pictures, in_frames, measurer, effort, progress, MOST_IN_FRAMES)
+        found = remeasured(source.pictures, found, measurer, effort, progress, MOST_IN_FRAMES)
     if planar is not None:
         plans = _plans(source.posed, False)
         planar = remeasured(plans, planar, measurer, effort, _named(progress, "from above"))
-    return replace(in_frames, planar=planar)
+    return replace(found, planar=planar)
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

@@ -109,23 +109,17 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
     views, members = np.bincount(labels), _groups(labels)
     alone = views == 1
 
-    def over(values: np.ndarray, summary=np.median) -> np.ndarray:
+    def over(values: np.ndarray, summary=np.median, weight: np.ndarray | None = None) -> np.ndarray:
         out = np.empty((len(members), *values.shape[1:]))
         out[alone] = values[[members[k][0] for k in np.flatnonzero(alone)]]  # most are, in an orthophoto
         for k in np.flatnonzero(~alone):
-            out[k] = summary(values[members[k]], axis=0)
+            weights = {} if weight is None else {"weights": weight[members[k]]}
+            out[k] = summary(values[members[k]], axis=0, **weights)
         return out
 
-    size, lasting = np.exp(over(np.log(seen.size))), None
-    if seen.lasting is not None:
-        weight = _weights(seen.sigma, seen.lasting)
-        lasting = np.sqrt(over(seen.lasting**2))
-        for k in np.flatnonzero(~alone):
-            some = members[k]
-            size[k] = np.exp(weighted_median(np.log(seen.size[some]), weight[some]))
-            lasting[k] = np.sqrt((weight[some] * seen.lasting[some] ** 2).sum(0) / weight[some].sum(0))
+    weight = None if seen.lasting is None else _weights(seen.sigma, seen.lasting)
     return Votes(
-        size=size,
+        size=np.exp(over(np.log(seen.size), np.median if weight is None else weighted_median, weight)),
         pixel=over(seen.pixel),
         views=views,
         place=over(seen.place),
@@ -133,7 +127,7 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
         members=members,
         sigma=None if seen.sigma is None else np.sqrt(over(seen.sigma**2, np.mean)),
         kinds=None if seen.kinds is None else over(seen.kinds, _mean_of_known),
-        lasting=lasting,
+        lasting=None if seen.lasting is None else np.sqrt(over(seen.lasting**2, np.average, weight)),
     )
 
 
@@ -143,13 +137,13 @@ def _weights(sigma: np.ndarray | None, lasting: np.ndarray) -> np.ndarray:
     return 1 / np.maximum(np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
 
 
-def weighted_median(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(D,) middle of `values` (N, D) with `weight` (N, D): half of the weight lies on either side. With equal weights
-    it is the median."""
-    order = np.argsort(values, axis=0, kind="stable")
-    values, weight = np.take_along_axis(values, order, 0), np.take_along_axis(weight, order, 0)
+def weighted_median(values: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
+    """(D,) middle of `values` (N, D) with `weights` (N, D) along `axis` 0, as `numpy.average` takes them: half of the
+    weight lies on either side. With equal weights it is the median."""
+    order = np.argsort(values, axis=axis, kind="stable")
+    values, weights = np.take_along_axis(values, order, axis), np.take_along_axis(weights, order, axis)
     # Each value stands in the middle of its weight; between two of them the median goes straight.
-    middle = (np.cumsum(weight, axis=0) - weight / 2) / weight.sum(0)
+    middle = (np.cumsum(weights, axis=axis) - weights / 2) / weights.sum(axis)
     return np.array([np.interp(0.5, middle[:, k], values[:, k]) for k in range(values.shape[1])])
 
 

@@ -22,15 +22,14 @@ from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation, larger_by
 from ..core.measuring.measure import measure as measure_boxes
 from ..core.measuring.measurement import Findings
-from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED, of_each_view
+from ..core.measuring.oblique import ROUNDS, SETTLED, card_of, of_each_view
 from ..core.measuring.surroundings import Standards
 from ..core.measuring.systematic import Systematic
 from ..core.pooling.posterior import Z90
 from ..core.pooling.robust import MIN_VEHICLES
-from ..core.projection.exact import BODIES
 from ..core.projection.height import lean
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
-from ..core.projection.own_ruler import OwnRuler, SeenBoxes
+from ..core.projection.own_ruler import SeenBoxes
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
@@ -285,19 +284,13 @@ class PhotoGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """What is not known of attitude, lens and effective height is measured again with each a little off."""
-        ruler, seen = self._card, SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
+        ruler, seen = card_of(self.found), SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
         size, by_body = ruler.told(seen)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
         shared = {name: larger_by(ruler.size(replace(seen, views=v)), size) for name, v in self.off.items()}
         lasting = of_each_view(np.zeros(len(size)), lean(self.boxes, self.views), size * metres_per_unit)
         return Observation(size, self.found.ruler, Systematic(by_body, shared), lasting)
-
-    @property
-    def _card(self) -> OwnRuler:
-        """Up to where boxes enclose vehicles, by what measured them; the margin stays in them."""
-        found, none, sd = self.found, (0.0, 0.0), (HEIGHT_SD, HEIGHT_SD)
-        return OwnRuler.shipped(found.effective_height, none, sd, none, BODIES[found.body], found.undercut)
 
     def shown(self, place: np.ndarray) -> None:
         """None: the photo shows all."""

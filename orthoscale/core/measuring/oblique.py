@@ -129,15 +129,12 @@ class FramesGeometry:
     @cached_property
     def card(self) -> OwnRuler:
         """The ruler that the detector ships."""
-        found = self.found
-        return OwnRuler.shipped(
-            found.effective_height,
-            found.ruler.margin,
-            (HEIGHT_SD, HEIGHT_SD),
-            found.ruler.margin_sd,
-            BODIES[found.body],
-            found.undercut,
-        )
+        return card_of(self.found, self.found.ruler.margin, self.found.ruler.margin_sd)
+
+    @cached_property
+    def leaning(self) -> np.ndarray:
+        """(M, 2) how much of a vehicle's height each box shows, by `height.lean`."""
+        return lean(self.boxes, self.views)
 
     def seen(self, metres_per_unit: float) -> SeenBoxes:
         """The boxes with their views, at this scale."""
@@ -197,7 +194,7 @@ class ExactGeometry(FramesGeometry):
             longer = ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
             shared = {**shared, "focal length": larger_by(longer, size)}
         left_of_card = ruler.left_of_height(self.card, size[solved], slopes[solved])
-        lasting = of_each_view(self.stands.each, lean(self.boxes, self.views), size * metres_per_unit)
+        lasting = of_each_view(self.stands.each, self.leaning, size * metres_per_unit)
         return Observation(size, left, of_height(by_body, left_of_card).and_shared(shared), lasting)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
@@ -225,8 +222,8 @@ class OtherGeometry(FramesGeometry):
             length, width, height = self.fleet.mean.tolist()
             size = decoupled.ground_size(self.boxes, self.views, (length, width, height), variant)
         ok = np.isfinite(size).all(1)
-        by_height = of_height(height_share(size[ok], lean(self.boxes, self.views)[ok], HEIGHT_SD / metres_per_unit))
-        lasting = of_each_view(self.stands.each, lean(self.boxes, self.views), size * metres_per_unit)
+        by_height = of_height(height_share(size[ok], self.leaning[ok], HEIGHT_SD / metres_per_unit))
+        lasting = of_each_view(self.stands.each, self.leaning, size * metres_per_unit)
         return Observation(size, self.found.ruler, by_height.and_shared(self.stands.alike), lasting)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
@@ -244,6 +241,14 @@ def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np
     `boxes` are."""
     border = float(np.median(boxes.length)) / 2
     return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
+
+
+def card_of(
+    found: Detections, margin: tuple[float, float] = (0.0, 0.0), margin_sd: tuple[float, float] = (0.0, 0.0)
+) -> OwnRuler:
+    """The ruler that the card of what measured the boxes `found` tells. Without a `margin` that stays in the boxes."""
+    height_sd = (HEIGHT_SD, HEIGHT_SD)
+    return OwnRuler.shipped(found.effective_height, margin, height_sd, margin_sd, BODIES[found.body], found.undercut)
 
 
 def of_each_view(ground: np.ndarray, leaning: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -17,8 +17,7 @@ from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
 from ..pooling.robust import MIN_VEHICLES
-from ..projection.exact import BODIES
-from ..projection.own_ruler import OwnRuler, SeenBoxes
+from ..projection.own_ruler import SeenBoxes
 from ..projection.planar import ground_size
 from ..projection.view import Views
 from ..scale import Scale
@@ -29,7 +28,7 @@ from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings
-from .oblique import HEIGHT_SD, of_each_view
+from .oblique import card_of, of_each_view
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
 from .systematic import of_height
@@ -137,7 +136,7 @@ class SweepGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes of the boxes less the part due to the vehicles' height."""
-        ruler = self._card
+        ruler = card_of(self.found)
         size, by_body = ruler.told(self._seen(metres_per_unit))
         by_focal = {}
         if self.focal_sd:
@@ -146,13 +145,6 @@ class SweepGeometry:
         systematic = of_height(by_body).and_shared({**self.stands.alike, **by_focal})
         lasting = of_each_view(self.stands.each, np.abs(self.offset), size * metres_per_unit)
         return Observation(size, self.found.ruler, systematic, lasting)
-
-    @property
-    def _card(self) -> OwnRuler:
-        """Up to where boxes enclose vehicles, by what measured them; the margin stays in them."""
-        found, none = self.found, (0.0, 0.0)
-        height_sd = (HEIGHT_SD, HEIGHT_SD)
-        return OwnRuler.shipped(found.effective_height, none, height_sd, none, BODIES[found.body], found.undercut)
 
     def _seen(self, metres_per_unit: float, ratio: float = 1.0) -> SeenBoxes:
         """The boxes along their own axes, as a camera that looks straight down sees them, whose pixels are units there,

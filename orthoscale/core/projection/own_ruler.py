@@ -100,6 +100,11 @@ class OwnRuler:
         return self.value[:, UNDERCUT]
 
     @property
+    def expects_undercut(self) -> bool:
+        """Whether it says how far that may be off, as a card does that has one."""
+        return bool(self.covariance[:, UNDERCUT, UNDERCUT].any())
+
+    @property
     def sd(self) -> np.ndarray:
         """(2, 5) one-sigmas, as `value`."""
         return np.sqrt(np.einsum("kii->ki", self.covariance))

@@ -51,7 +51,7 @@ def self_calibrated(
     if len(index) < MIN_RESIDUALS:
         return shipped
     seen = _RulerData(boxes[index], vehicle, shipped)
-    known = shipped.covariance[:, UNDERCUT, UNDERCUT].any()  # then it is held by the card, as the height is
+    known = shipped.expects_undercut  # then it is held by the card, as the height is
     common = [HEIGHT, *([UNDERCUT] if known else []), *([MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [])]
     plain = _settled(start or shipped, seen, (common, common))
     before = plain.size(seen.boxes)
@@ -79,9 +79,8 @@ class _RulerData:
 
     def prior(self, free: Free) -> np.ndarray:
         """(2, 5, 5) covariance beforehand, where `free` may be fitted."""
-        covariance = self.shipped.covariance
-        unknown = UNDERCUT in free[0] and not covariance[:, UNDERCUT, UNDERCUT].any()
-        return _with_undercut(covariance) if unknown else covariance
+        unknown = UNDERCUT in free[0] and not self.shipped.expects_undercut
+        return _with_undercut(self.shipped.covariance) if unknown else self.shipped.covariance
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
