@@ -8,6 +8,7 @@ output channel, values one for each layer, from the least to the greatest that c
 No test place takes part. Weights have 7 bits: two products of 8 bits overflow the 16 that processors without VNNI add
 them up in, and their results would differ from those of others. What outputs have lost on average where there are
 vehicles is added to them again (bias correction: Nagel et al. 2019, Data-free quantization, section 4.2).
+`training.measurer.quantise` does the same to the measurer.
 
 Training goes on from the network in 32 bits, never from the one stored in 8.
 """
@@ -17,9 +18,10 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +31,27 @@ from .export import with_card
 from .train import SCENE_WEIGHTS
 
 COUNT = 600  # crops that are shown
-INTEGER = ["Conv", "Add", "Relu", "Clip", "Resize"]  # operators
+FOLLOW = ("Add", "Relu", "Clip", "Resize")  # operators that take integers from convolutions and pass them on
 VEHICLE = -1.0  # logit of the heat from which the outputs of a place count as those of a vehicle
 
 
 def quantise(network: Path, shown: Sequence[np.ndarray], out: Path) -> None:
-    """Write the ONNX file `network` to `out` in 8 bits, with its card. shown : inputs (3, h, w) uint8."""
+    """Write the detector `network` (ONNX) to `out` in 8 bits, with its card. shown : inputs (3, h, w) uint8."""
+    import onnx
+
+    with tempfile.TemporaryDirectory() as scratch:
+        stored = Path(scratch) / "stored.onnx"
+        head = [node for node in onnx.load(network).graph.node if node.op_type == "Conv"][-1]
+        in_8_bits(network, [{"image": _as_input(image)} for image in shown], stored, lambda conv: conv == head.name)
+        _add_to_bias(stored, head.input[2], lost(network, stored, shown))
+        finish(network, stored, out)
+
+
+def in_8_bits(network: Path, shown: Iterable[Mapping[str, np.ndarray]], out: Path, left: Callable[[str], bool]) -> None:
+    """Write the ONNX file `network` to `out`, its convolutions and what follows them alone in 8 bits; without its card.
+
+    shown : inputs by name, whose values set the ranges. left : whether the convolution of this name stays in 32 bits.
+    """
     import onnx
     from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
@@ -43,21 +60,38 @@ def quantise(network: Path, shown: Sequence[np.ndarray], out: Path) -> None:
         def __init__(self) -> None:
             self.left = iter(shown)
 
-        def get_next(self) -> dict[str, np.ndarray] | None:
-            image = next(self.left, None)
-            return None if image is None else {"image": _as_input(image)}
+        def get_next(self) -> Mapping[str, np.ndarray] | None:
+            return next(self.left, None)
 
     with tempfile.TemporaryDirectory() as scratch:
-        plain, stored = Path(scratch) / "plain.onnx", Path(scratch) / "stored.onnx"
+        plain = Path(scratch) / "plain.onnx"
         quant_pre_process(network, plain, skip_symbolic_shape=True)
-        head = [node for node in onnx.load(plain).graph.node if node.op_type == "Conv"][-1]
         quantize_static(
-            plain, stored, Shown(), per_channel=True, reduce_range=True, activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8, op_types_to_quantize=INTEGER, nodes_to_exclude=[head.name],
+            plain, out, Shown(), per_channel=True, reduce_range=True, activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8, nodes_to_quantize=_of_integers(onnx.load(plain).graph.node, left),
         )  # fmt: skip
-        _add_to_bias(stored, head.input[2], lost(network, stored, shown))
-        (card,) = (entry.value for entry in onnx.load(network).metadata_props if entry.key == "orthoscale")
-        with_card(stored, json.loads(card), out)
+
+
+def _of_integers(nodes: Iterable[Any], left: Callable[[str], bool]) -> list[str]:
+    """Names of the `nodes` (in the order of their computation) that are to compute in integers."""
+    computed: dict[str, bool] = {}  # outputs of nodes, and whether these compute in integers
+    names = []
+    for node in nodes:
+        inputs = [computed[name] for name in node.input if name in computed]
+        integers = node.op_type == "Conv" and not left(node.name)
+        if integers or (node.op_type in FOLLOW and inputs and all(inputs)):
+            names.append(node.name)
+        if node.op_type != "Constant":
+            computed.update(dict.fromkeys(node.output, node.name in names[-1:]))
+    return names
+
+
+def finish(network: Path, stored: Path, out: Path) -> None:
+    """Write `stored` to `out` with the card of `network`."""
+    import onnx
+
+    (card,) = (entry.value for entry in onnx.load(network).metadata_props if entry.key == "orthoscale")
+    with_card(stored, json.loads(card), out)
 
 
 def lost(network: Path, stored: Path, shown: Sequence[np.ndarray]) -> np.ndarray:

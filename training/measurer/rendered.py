@@ -28,7 +28,7 @@ EXTENT = 46.0  # side of a scene [m]
 SAMPLES = 2  # per pixel, each way
 BRIGHTEST = 1.2  # linear light that 255 stands for
 LEANING = 0.7  # share of the views that are not straight down
-MOST_LEAN = 1.9  # tangent of the angle off the vertical: 62 degrees
+MOST_LEAN = 1.9  # tangent of the angle off the vertical: 62 degrees. Half of the leaning views are within 25 degrees
 TUCKED = 0.25, 0.1  # how far ends and sides of real vehicles recede below their bumpers and doors, at most [m]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
 UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
@@ -145,7 +145,7 @@ def random_view(scene: Scene, rng: np.random.Generator) -> View:
     if rng.random() > LEANING:
         return ortho_view(scene, GSD)
     size = round(scene.extent_m / GSD)
-    lean, yaw = np.arctan(MOST_LEAN * rng.random()), rng.uniform(0, 2 * np.pi)
+    lean, yaw = np.arctan(MOST_LEAN * rng.random() ** 2), rng.uniform(0, 2 * np.pi)
     slant = GSD * FOCAL * size
     centre = slant * np.array([-np.sin(lean) * np.cos(yaw), -np.sin(lean) * np.sin(yaw), np.cos(lean)])
     return Perspective(Camera(FOCAL * size, size, size), Pose.looking(centre, yaw, np.pi / 2 - lean))
