@@ -122,7 +122,7 @@ def _fill(
 class Shade:
     """What hides the light from each place, on the grid of `view`.
 
-    sun : (H, W) [m], the height up to which a place is in shadow. sky : (H, W) [m], blurred heights of the surroundings.
+    sun : (H, W) [m], the height up to which a place is in shadow. sky : (H, W) [m], blurred heights around each place.
     """
 
     view: Ortho

@@ -2,8 +2,8 @@
 
 Before any work is done, an output is refused if it is, contains or lies in an input, under whatever name; if it would
 belong to an input, as a world file does; if it is also another output of the command; if another run is writing it; or
-if it exists, unless it may be overwritten and orthoscale wrote it under this very name. Outputs get temporary names, and
-those of a command are renamed into place together: no file that appeared meanwhile is replaced, and on any error,
+if it exists, unless it may be overwritten and orthoscale wrote it under this very name. Outputs get temporary names,
+and those of a command are renamed into place together: no file that appeared meanwhile is replaced, and on any error,
 including SIGTERM, SIGHUP and Ctrl-C, everything is as it was. The next run removes the leftovers of a killed one.
 """
 
