@@ -83,7 +83,7 @@ def checked(
     told: Callable[[Detections, Source], None] = lambda found, source: None,
     alone: bool = True,
 ) -> Checked:
-    """What `request` asks of the input at `path`; see `check`. told, alone : as of `measured`."""
+    """Check the input at `path` as `request` says; see `check`. told, alone : as in `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
     result = measured(source, request, progress, told, alone)

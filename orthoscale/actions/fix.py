@@ -125,7 +125,7 @@ def _begin(
 ) -> _Begun:
     """Open the input, refuse what makes no sense, and reserve all outputs."""
     if os.path.lexists(out) and path.is_file() and path.suffix.lower() in PICTURES:
-        # That `out` exists matters only if its name is one that could be written.
+        # Check the name first: an existing file matters only if its name is one that could be written.
         RasterSource.check_name(out)
     outputs.check(out)
     if save_detections is not None:

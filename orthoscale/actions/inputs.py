@@ -43,7 +43,7 @@ class Named:
         (``*``, ``?``, ``[...]``, ``**``) for the paths that match it, and a workspace with several models for each of
         them, even if it was named by a folder or a pattern. A path that does not exist stands for itself, and so does a
         folder without inputs: its error must not stop the other inputs. Raises InputError for a pattern that matches
-        nothing, and for a damaged workspace if it is the only input.
+        nothing, and for a folder without inputs if it is named alone.
         """
         found: dict[str, Path] = {}
         for word in self.words:

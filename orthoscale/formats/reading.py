@@ -78,7 +78,7 @@ def absent(path: Path, hint: str) -> InputError:
 
 
 def check_regular(path: Path, hint: str = "") -> None:
-    """Raise InputError for what is no regular file: a folder, a pipe, an endless device, nothing."""
+    """Raise InputError if `path` is no regular file: a folder, a pipe, a device, or nothing."""
     try:
         mode = os.stat(path).st_mode
     except OSError as error:

@@ -16,7 +16,7 @@ from .places import in_percent
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
-TITLE = 56  # height of what is written above a map [px]
+TITLE = 56  # height of the title above a map [px]
 MOVES = 2000  # most times that overlapping squares are moved apart
 
 

@@ -26,7 +26,7 @@ class LocalRegionScale:
 
 @dataclass(frozen=True)
 class LocalFrameScale:
-    """deviation : log of the scale that this frame gives its vehicles over the one that all frames give them."""
+    """deviation : log ratio of the scale from this frame to the scale from all frames, for the same vehicles."""
 
     name: str
     deviation: float

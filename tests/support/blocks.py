@@ -112,9 +112,9 @@ def fly(
     ruler: Ruler = RULER,
     dense: bool = False,
 ) -> Block:
-    """One block. unsure : what is not known is off by as much as `fleet`, `ruler` and the program claim (`_Boxing`);
-    else all vehicles are the fleet's, and boxes are what the card says of them. dense : a dense cloud of the same
-    ground lies beside it; all else is as without."""
+    """A random block. unsure : with errors as large as the uncertainties that `fleet`, `ruler` and the program claim
+    (`_Boxing`); else all vehicles are the fleet's, and boxes are as on the card. dense : with a dense cloud of the same
+    ground; all else stays the same."""
     c = conditions
     terrain = _Terrain.drawn(rng, c)
     size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)

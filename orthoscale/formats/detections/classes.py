@@ -33,13 +33,13 @@ def is_vehicle(name: str, wanted: Iterable[str] = ()) -> bool:
 
 
 def vehicle_numbers(names: Sequence[str], wanted: Iterable[str] = ()) -> list[int]:
-    """The numbers of those of the classes `names` that count; `wanted` may hold numbers too."""
+    """The numbers of the classes in `names` that count; `wanted` may hold numbers too."""
     wanted = list(wanted)
     return [k for k, name in enumerate(names) if is_vehicle(name, wanted) or str(k) in wanted]
 
 
 def object_numbers(names: Sequence[str]) -> dict[str, list[int]]:
-    """The numbers of those of the classes `names` that are objects of a standard size, by kind."""
+    """The numbers of the classes in `names` that are objects of standard size, by kind."""
     numbers = {kind: [k for k, name in enumerate(names) if plain(name) == plain(kind)] for kind in known_objects()}
     return {kind: found for kind, found in numbers.items() if found}
 

@@ -15,7 +15,7 @@ from ...errors import InputError, shown
 from ..names import in_utf8
 from .classes import is_vehicle
 
-FARTHEST_PX = 1e7  # [px]
+FARTHEST_PX = 1e7  # largest plausible coordinate of a vertex [px]
 # Names that programs give to these properties of a box; the first that is present counts.
 PICTURE = ("picture", "image", "file_name", "filename")
 SCORE_NAMES = ("score", "confidence", "conf", "probability")

@@ -17,7 +17,7 @@ from .mark import MARK, refuse_marked
 # Offsets in the header [bytes].
 SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, HEADER_LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
 LEAST_HEADER = 227  # [bytes] smallest size of a header
-DOUBLES = 12  # of HEADER_LENGTHS: factors and offsets by axis, then largest and smallest coordinates
+DOUBLES = 12  # numbers from HEADER_LENGTHS on: factors and offsets by axis, then largest and smallest coordinates
 WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
 PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
 

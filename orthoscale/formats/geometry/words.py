@@ -1,4 +1,4 @@
-"""Lines of text: those of a header, and those with lengths in them."""
+"""Reads header lines, and scales the lengths in lines of text."""
 
 from __future__ import annotations
 
