@@ -5,8 +5,8 @@
     metric = hloc_hook.main(outputs / "sfm", images, pairs, features, matches, fleet="US")
 
 It runs `hloc.reconstruction.main` and writes outputs/sfm_metric. hloc localises queries against the model that it is
-given: pass outputs/sfm_metric to `hloc.localize_sfm` and the poses come in metres. A second run finds the metric model
-and does nothing; where outputs/sfm was changed since, it is refused.
+given: pass outputs/sfm_metric to `hloc.localize_sfm` to get poses in metres. A second run finds the metric model and
+does nothing; if outputs/sfm has changed since, it raises an error.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ def main(
 ) -> pycolmap.Reconstruction:
     """`hloc.reconstruction.main` with the same arguments; returns the metric model.
 
-    Raises UsageError where `sfm_dir` was changed after the metric model was made of it, OrthoscaleError.
+    Raises UsageError if `sfm_dir` was changed after the metric model was made from it, OrthoscaleError.
 
-    fleet, detections : of `orthoscale.fix`, which takes the country from the images' GPS tags where none is named.
+    fleet, detections : of `orthoscale.fix`, which without a fleet takes the country from the images' GPS tags.
     """
     sfm_dir = Path(sfm_dir)
     metric = sfm_dir.with_name(sfm_dir.name + "_metric")

@@ -27,8 +27,8 @@ fi
 case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }
 
-# Written aside, then renamed, so that a run that was cut off is not taken for a whole one. The folder is this run's own
-# while the process it names is there.
+# Write to a temporary folder, then rename it, so that an interrupted run is not taken for a complete one. The folder
+# belongs to a run as long as the process named in it exists.
 partial="$workspace/.dense_metric.partial"
 if ! mkdir "$partial" 2>/dev/null; then
     writer=$(cat "$partial/.writer" 2>/dev/null) || { echo "$partial is in the way: remove it" >&2; exit 2; }
@@ -43,7 +43,7 @@ trap 'rm -rf "$partial"' EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 echo $$ >"$partial/.writer"
-# What was said of a folder aside, as of its place; folders' names may have what sed takes for its own.
+# Print the messages with the temporary folder replaced by the final one; sed could misread characters in the names.
 say_of() {
     was=$1 is=$2 awk '{
         line = ""

@@ -28,8 +28,8 @@ from orthoscale.requests import FixRequest
 def write_metric(sparse: str | Path, out: str | Path, images: str | Path | None = None, **options: Any) -> bool:
     """Write the model in the folder `sparse`, or all of them (``0/``, ``1/`` ...), in metres to the folder `out`.
 
-    options : of `orthoscale.fix`. Returns False, and does nothing, where `out` holds a metric model already, unless
-    `overwrite` is one of them. Raises UsageError where `sparse` was changed since, OrthoscaleError.
+    options : of `orthoscale.fix`. Returns False, and does nothing, if `out` holds a metric model already, unless
+    `overwrite` is one of the options. Raises UsageError if `sparse` has changed since, OrthoscaleError.
     """
     sparse, out = Path(sparse), Path(out)
     made = [out / name for name in ("sim3.json", "models.json") if (out / name).is_file()]
@@ -51,7 +51,7 @@ def write_metric(sparse: str | Path, out: str | Path, images: str | Path | None 
 def to_metric(reconstruction: pycolmap.Reconstruction, images: str | Path | None = None, **options: Any) -> Any:
     """Bring `reconstruction` to metres in place; returns `orthoscale.Result`. The caller must not do it twice.
 
-    options : of `orthoscale.estimate`. Raises OrthoscaleError, also for a scale not known well enough to be written.
+    options : of `orthoscale.estimate`. Raises OrthoscaleError, also for a scale too uncertain to be written.
     """
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)

@@ -1,6 +1,7 @@
-"""The main job on the two examples of this folder: recovered scale, its interval, the truth, the error.
+"""Runs `orthoscale.fix` on the two examples of this folder, and prints the recovered scale, its interval, the truth
+and the error.
 
-Needs nothing but the installed package; writes to build/demo/.
+Needs only the installed package; writes to build/demo/.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def make_sheffield(data: Path) -> None:
     found, _ = find_in_model(source, None, VehicleSearch(Detector()))
     found = measured_anew(source, found, EstimateRequest())
     truth = json.loads((original / "truth.json").read_text())
-    shutil.rmtree(folder, ignore_errors=True)  # only now: where data lack, the example stays
+    shutil.rmtree(folder, ignore_errors=True)  # only now, so that the example stays if data are missing
     (folder / "sparse").mkdir(parents=True)
     small.write_binary(str(folder / "sparse"))
     save_detections(found, folder / "detections.json")

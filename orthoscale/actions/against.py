@@ -1,7 +1,7 @@
-"""A georeferenced map of another date: the position and orientation of the input on it, and the scale that follows.
+"""Matches the input to a georeferenced map of another date: its position and orientation there, and its scale.
 
-The map's scale is further evidence beside the vehicles, with its own uncertainty. An orthophoto also takes its position
-and orientation from the map. An uncertain match is not used, and a note says so.
+The map's scale is further evidence besides the vehicles, with its own uncertainty. An orthophoto also takes its
+position and orientation from the map. An uncertain match is not used, and a note says so.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from ..locate.register import Candidate, Registration
     from ..sources.satellite import Satellite
 
-SCALES_AROUND = 4.0  # sigmas of the vehicles' scale within which the map's is searched ...
-LEAST_AROUND, MOST_AROUND = math.log(1.3), math.log(1.6)  # ... but so far at least, to contradict, and at most
-VIEWS_TRIED = 3  # pictures of the ground of a reconstruction, the largest
+SCALES_AROUND = 4.0  # the map's scale is searched within this many sigmas of the vehicles' scale ...
+LEAST_AROUND, MOST_AROUND = math.log(1.3), math.log(1.6)  # ... within these bounds: the map must be able to contradict
+VIEWS_TRIED = 3  # number of a reconstruction's ground pictures that are tried, the largest first
 
 
 def on_map(
@@ -42,9 +42,9 @@ def on_map(
 ) -> OnMap:
     """Where `source` lies on the map `satellite`.
 
-    scale : metres per unit and its relative one-sigma, as far as it is known. cache : keep the map's features.
+    scale : metres per unit known so far, and its relative one-sigma. cache : keep the map's features.
     footing : the ground of a reconstruction.
-    Raises InputError where map or source turn out to be damaged.
+    Raises InputError if the map or the source is damaged.
     """
     around = float(np.clip(SCALES_AROUND * scale[1], LEAST_AROUND, MOST_AROUND))
     problems = []
@@ -78,7 +78,7 @@ def on_map(
 
 
 def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footing) -> Evidence:
-    """What the map says by that `picture` of the ground of `source`, with the error of that ground, `footing`."""
+    """The evidence from the ground picture called `picture`, corrected to the ground of `footing`, with its error."""
     view = next(view for view in source.ground_pictures if view.name == picture)
     middle = view.ground(np.array([[view.width / 2, view.height / 2]]))
     lower = float(footing.at(middle)[0][0])
@@ -88,7 +88,7 @@ def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footi
 
 
 def _found_on(name: str, candidate: Candidate) -> str:
-    """That the input was found at the place of `candidate` on the map called `name`."""
+    """The note that the input was found on the map called `name`, at the place of `candidate`."""
     lon, lat = candidate.middle
     heading = round(math.degrees(candidate.heading)) % 360
     return f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {heading} degrees"
@@ -97,7 +97,7 @@ def _found_on(name: str, candidate: Candidate) -> str:
 def _registered(
     seen: SeenPlan, satellite: Satellite, around: float, cache: bool, progress: Progress | None
 ) -> Registration:
-    """`seen` on the map, turned in any way."""
+    """`seen` matched to the map, in any orientation."""
     from ..locate.features import GradientFeatures
     from ..locate.register import Known, register
 
@@ -106,8 +106,8 @@ def _registered(
 
 
 def _pictures(source: Source) -> Sequence[SeenPlan]:
-    """Pictures of the ground from above, in source units: an orthophoto, or the frames of a reconstruction that show
-    most ground."""
+    """Pictures of the ground from above, in source units: an orthophoto, or the ground pictures of a reconstruction
+    that cover the largest area."""
     from ..locate.ground import SeenPlan
 
     if source.plan is not None:
@@ -121,7 +121,7 @@ def _pictures(source: Source) -> Sequence[SeenPlan]:
 
 
 def _affine(seen: SeenPlan, found: Registration, satellite: Satellite) -> np.ndarray:
-    """(2, 3) from the orthophoto's pixels to the map's coordinates, by the match."""
+    """(2, 3) affine transform from the orthophoto's pixels to the map's coordinates, by the match."""
     size = np.array([seen.picture.width, seen.picture.height], float)
     corners = np.array([[0, 0], [size[0], 0], [0, size[1]]]) * seen.gsd
     if seen.mirrored:

@@ -25,13 +25,13 @@ from ..formats.points import number
 from ..formats.reading import reason
 from ..requests import BOXED
 
-BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
-LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
-OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are painted to a centimetre or two
-FRAMES_EACH = 4  # of a model that show one anchor before another is looked for: the more, the less it matters which
-LADDER = (0.03, 0.6)  # [m/px] between which scales are tried where nothing tells it: what drones and planes give
-RUNG_SD = 0.1  # of each, one sigma: finders look two of them to either side
-SAME_ON_RUNGS = 0.03  # relative difference of what two rungs of the ladder make of one thing
+BEYOND_SIGMAS = 2.0  # sizes are searched this many sigmas beyond the ends of the vehicles' 90 % interval
+LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # limits of the relative one-sigma passed to finders: what they are made for
+OWN_SD = 0.005  # relative one-sigma of a user's own standard: bays are painted to a centimetre or two
+FRAMES_EACH = 4  # frames of a model that show an anchor, about: its search ends after this many times more finds
+LADDER = (0.03, 0.6)  # [m/px] range of scales tried when the scale is unknown: what drones and planes give
+RUNG_SD = 0.1  # relative one-sigma of each scale tried: finders look two of them to either side
+SAME_ON_RUNGS = 0.03  # finds at two scales of the ladder are one anchor if their sizes differ by less (relative)
 STANDARD_HINT = (
     "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
     "see docs/anchors.md."
@@ -39,7 +39,7 @@ STANDARD_HINT = (
 
 
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
-    """The kinds of evidence that boxes alone can give, as `choices` of `--anchors` allow."""
+    """The kinds of anchors that are measured by their boxes alone, of those that `choices` of `--anchors` allow."""
     every = {name.replace("-", " ") for name in BOXED}
     if kinds.NO_KIND in choices:
         return set()
@@ -48,7 +48,7 @@ def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
 
 
 def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
-    """A user's standards by kind, of options KIND=METRES[,SIGMA] and of files. Raises UsageError, InputError."""
+    """A user's standards by kind, from options KIND=METRES[,SIGMA] and from files. Raises UsageError, InputError."""
     found: dict[str, tuple[Standard, ...]] = {}
     for text in told:
         more = _of_file(Path(text)) if text.lower().endswith(".json") else _of_words(text)
@@ -59,9 +59,9 @@ def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is searched for, and how. choices : of `--anchors`. own : a user's standards by kind, which replace those of
-    the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`. footing : the ground of a
-    reconstruction."""
+    """Which anchors are searched for, and how. choices : of `--anchors`. own : a user's standards by kind, which
+    replace those of the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`.
+    footing : the ground of a reconstruction."""
 
     choices: Sequence[str]
     own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class Wanted:
 
 
 def look_for_anchors(source: Source, scale: Scale, wanted: Wanted) -> FoundAnchors:
-    """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
+    """The anchors in `source`, given the `scale` from its vehicles; see `anchors_at`."""
     low, high = scale.interval90
     sd = float(np.log(high / low)) / (2 * Z90)
     # Finders search two of their sigmas to either side.
@@ -86,8 +86,8 @@ def look_for_anchors(source: Source, scale: Scale, wanted: Wanted) -> FoundAncho
 
 
 def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted, share: float = 1.0) -> FoundAnchors:
-    """The anchors in `source`, of roughly `metres_per_unit`, within twice its relative one-sigma `sd`. An orthophoto is
-    searched as it is, a reconstruction in its ground pictures. share : of the usual effort."""
+    """The anchors in `source`, whose scale is roughly `metres_per_unit`, within twice its relative one-sigma `sd`. An
+    orthophoto is searched as it is, a reconstruction in its ground pictures. share : of the usual effort."""
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
     views = _views(source) if wanted.kinds else {}
@@ -123,10 +123,10 @@ def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted
 
 
 def at_any_scale(source: Source, rough: tuple[float, float] | None, wanted: Wanted, known: int = 0) -> FoundAnchors:
-    """The anchors in `source`, whose scale is unknown: searched for at each of a ladder of scales.
+    """The anchors in `source`, whose scale is unknown: searched for at each scale of a ladder.
 
     rough : metres per unit and its relative one-sigma, if there is an estimate; else all of LADDER is tried. known :
-    number of other kinds of evidence. Nothing is searched for if not enough kinds could be found.
+    number of kinds of other evidence. Nothing is searched for if these and the anchors together are too few kinds.
     """
     units = [unit for _, unit in _views(source).values()]
     if not units or not wanted.kinds or len(wanted.kinds) + known < FEWEST_KINDS:
@@ -151,7 +151,8 @@ def at_any_scale(source: Source, rough: tuple[float, float] | None, wanted: Want
 
 
 def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVote]:
-    """Of anchors of one kind that several scales show in one place and of one size, one, with the standards of all."""
+    """Anchors of one kind; those found at several scales in one place and of one size are merged into one, with the
+    standards of all."""
     kept: list[AnchorVote] = []
     for vote in sorted(votes, key=lambda v: (v.anchor.false, v.relative_sd)):
         for k, other in enumerate(kept):
@@ -167,7 +168,7 @@ def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVo
 
 
 def _views(source: Source) -> dict[str, tuple[Picture, float]]:
-    """By name, the pictures that show the ground from above, and source units per pixel of each."""
+    """The pictures that show the ground from above, each with its source units per pixel, by name."""
     if source.plan is not None:
         return {source.plan.name: (source.plan, 1.0)}
     assert source.posed is not None, "it is one of the two"
@@ -198,7 +199,7 @@ def _standard(name: str, metres: float, sd: float | None, source: str) -> Standa
 
 
 def _kind(name: str) -> str:
-    """The kind that a user's word means: its name, or a part of it that no other has. Raises UsageError."""
+    """The kind that a user's word means: its full name, or a part that occurs in no other name. Raises UsageError."""
     word = name.strip().lower().replace("-", " ").replace("_", " ")
     known = [*kinds.ANCHOR_KINDS]
     meant = [kind for kind in known if kind == word] or [kind for kind in known if word and word in kind]

@@ -1,4 +1,4 @@
-"""Other files of a scaled model, brought to metres by the model's similarity transform."""
+"""Brings other files of a scaled model to metres by the model's similarity transform."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from ..system.paths import absolute, path_of, paths_of
 def apply(
     sim3: str | Path, files: str | Path | Sequence[str | Path], out: str | Path, *, overwrite: bool = False
 ) -> dict[Path, list[str]]:
-    """Write `files`, in the units of the model that `sim3` belongs to, again in metres into the folder `out`.
+    """Write copies in metres of `files`, which are in the units of the model that `sim3` belongs to, into `out`.
 
     sim3 : the sim3.json that `fix` wrote. files : PLY (cloud, mesh or splat), OBJ, GLB, glTF, transforms.json,
     reconstruction.json, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat, or folders of sparse models and dense workspaces,
-    one or several; they are never touched.
-    Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
+    one or several; they are never touched. out : folder.
+    Returns what was written, with notes on each; all files are written, or none. Raises UsageError, InputError,
+    OutputError.
     """
     sim3, out = path_of(sim3, "the path of a sim3.json"), path_of(out, "the path of the output folder")
     given = paths_of(files, "the path of a file in the model's units")
-    names = [absolute(path).name for path in given]  # a link's own, as it is known by
+    names = [absolute(path).name for path in given]  # a link keeps its own name
     if twice := {name for name in names if names.count(name) > 1}:
         raise UsageError(f"two FILEs are called {min(twice)}", "Write them to different folders, one after the other.")
     written = {}

@@ -1,4 +1,4 @@
-"""Calibrates a detector on an orthophoto of known scale: the same vehicles at three resampling factors."""
+"""Calibrates a detector on an orthophoto of known scale, by detecting the same vehicles at three resampling factors."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from ..fleets import load_fleet
 from ..option import listed, number
 from ..system.paths import path_of
 
-LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
+LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms relative to the detector's best; a vehicle must be found at all
 FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %
-NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
-MEDIAN_OF = 10_000  # vehicles that tell a fleet's median to 0.1 %
-SMALLEST_PX = 1.0  # of a box whose margin was taken off [detector px]
-DISAGREEMENT = 0.02  # between --gsd and the georeferencing, from which on it is worth a note
+NO_PRIOR = (6.0, 4.0)  # one sigma about zero of the margin (length, width) of a detector without a card [detector px]
+MEDIAN_OF = 10_000  # sampled vehicles, which give a fleet's median to 0.1 %
+SMALLEST_PX = 1.0  # smallest size of a box after its margin is subtracted [detector px]
+DISAGREEMENT = 0.02  # relative difference between --gsd and the georeferencing that is worth a note
 
 
 def calibrate(
@@ -49,8 +49,8 @@ def calibrate(
 ) -> Calibration:
     """Measure a detector's ruler on the orthophoto at `path`, whose scale is known.
 
-    gsd : metres per pixel; by default what its georeferencing says. fleet : of the country; the better it is known, the
-    better the ruler. local_fleet : also fit the sizes of the vehicles that stand here. The other options are those of
+    gsd : metres per pixel; by default from its georeferencing. fleet : of the country; the better it is known, the
+    better the ruler. local_fleet : also fit a fleet to the vehicles in this picture. The other options are those of
     `orthoscale.estimate`. Raises InputError, UsageError, TooLittleEvidence.
     """
     from ..sources.opening import open_source
@@ -132,7 +132,7 @@ def _known_gsd(source: Plan, gsd: float | None) -> tuple[float, list[str]]:
 
 
 def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
-    """The boxes of vehicles that show in all looks, row by row the same vehicle."""
+    """The boxes of the vehicles that were found in all looks; equal rows are the same vehicle."""
     rows = [np.arange(len(looks[0]))]
     for before, here in zip(looks, looks[1:], strict=False):
         i, j, _ = matched(before[rows[-1]], here, SAME_VEHICLE)
@@ -147,13 +147,13 @@ def measure_ruler(
     the prior.
 
     looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px]. Returns the
-    ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError if they do
-    not fit the given scale.
+    ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError if the
+    sizes do not fit the given scale.
     """
     middle = len(looks) // 2
     pooled = _pooled(looks[middle], zooms[middle], fleet, ruler)
     looks = [look[pooled.used] for look in looks]
-    # The vehicles' mean sizes in metres, as boxes of each zoom have them with the detector's own margin taken off.
+    # The vehicles' mean sizes [m] by the boxes of each zoom, less the detector's own margin.
     seen = np.array(
         [_mean_size(_sizes(look, gsd, 1 / zoom, ruler), fleet) for look, zoom in zip(looks, zooms, strict=True)]
     )
@@ -164,7 +164,7 @@ def measure_ruler(
         )
     pixel = gsd / zooms
     bias_sd = np.asarray(ruler.bias_sd) * seen
-    # The vehicles here stray from the fleet's mean, and all their boxes may be a little large together.
+    # These vehicles' mean differs from the fleet's, and all their boxes may be too large by a common factor.
     stray = np.diag(fleet.log_mean_covariance) + pooled.parts["sampling"] ** 2 + ruler.common_sd**2
     fleet_sd = np.sqrt(stray) * fleet.mean[:2]
     margin_sd = NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd
@@ -178,7 +178,8 @@ def measure_ruler(
         )
         for axis in (0, 1)
     ]
-    # The fit takes zooms for independent, and what all boxes share for the vehicles'. Both are one scene's.
+    # The fit treats `bias_sd` as independent between zooms, and `common_sd` as part of the vehicles' sizes. In fact all
+    # boxes of one scene share both.
     shared = np.hypot(ruler.bias_sd, ruler.common_sd)
     length, width = (
         replace(fit, size_sd=float(np.hypot(fit.size_sd, fit.size * sd))) for fit, sd in zip(fits, shared, strict=True)
@@ -193,13 +194,13 @@ def measure_ruler(
 
 
 def _sizes(boxes: Boxes, gsd: float, pixel: float, ruler: Ruler) -> np.ndarray:
-    """(N, 2) lengths and widths [m] of vehicles whose detector pixels are `pixel` pixels of the picture each."""
+    """(N, 2) lengths and widths [m] of vehicles, less the margin; a detector pixel is `pixel` pixels of the picture."""
     return np.maximum(ground_size(boxes) - pixel * np.asarray(ruler.margin), SMALLEST_PX * pixel) * gsd
 
 
 def _mean_size(size: np.ndarray, fleet: Fleet) -> np.ndarray:
-    """(2,) mean length and width of a fleet that is like `fleet` and has the median of `size` (N, 2), which a few
-    larger vehicles do not move. The scale is known here: sizes are not to be explained by another mix of classes."""
+    """(2,) mean length and width of `fleet`, rescaled to have the median of `size` (N, 2), which a few larger vehicles
+    do not move. The scale is known here, so that another mix of classes must not explain the sizes."""
     usual = np.median(fleet.sample(np.random.default_rng(0), MEDIAN_OF)[:, :2], axis=0)
     return fleet.mean[:2] * np.median(size, axis=0) / usual
 
@@ -210,7 +211,8 @@ def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler) -> Scale:
 
 
 def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
-    """One box's noise in length and width [detector px], from how neighbouring looks at the same vehicles differ."""
+    """The noise of one box in length and width [detector px], from the differences between neighbouring looks at the
+    same vehicles."""
     noise = []
     for (a, za), (b, zb) in zip(zip(looks, zooms, strict=True), list(zip(looks, zooms, strict=True))[1:], strict=False):
         ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])

@@ -27,7 +27,7 @@ FIND_IT = "Find it by `orthoscale estimate`"
 
 @dataclass(frozen=True, repr=False)
 class Checked(Brief):
-    """The scale by the vehicles, and every claim compared with it."""
+    """The scale from the vehicles, and every claim compared with it."""
 
     result: Result
     comparisons: list[Comparison]
@@ -38,8 +38,8 @@ class Checked(Brief):
         return any(comparison.verdict == "disagrees" for comparison in self.comparisons)
 
     def require_agreement(self) -> None:
-        """Raise EvidenceDisagrees where what is known of the scale contradicts itself, or a claim; TooLittleEvidence
-        where the scale is too uncertain to be compared with one."""
+        """Raise EvidenceDisagrees if measurements of the scale contradict each other or a claim; TooLittleEvidence if
+        the scale is too uncertain to be compared with a claim."""
         if (disagreement := self.result.disagreement) is not None:
             raise disagreement
         for comparison in self.comparisons:
@@ -48,11 +48,11 @@ class Checked(Brief):
         self.result.require_useful()
 
     def brief(self) -> list[tuple[str, str]]:
-        """The claims, then the result in brief."""
+        """The comparison with each claim, then the result in brief."""
         return [*(("claim", one.sentence()) for one in self.comparisons), *self.result.brief()]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values: each comparison, and what the vehicles say; what `orthoscale check --json` prints."""
+        """Plain values: each comparison, and the scale from the vehicles; what `orthoscale check --json` prints."""
         scale = self.result.scale
         return {
             "comparisons": [comparison.document() for comparison in self.comparisons],
@@ -83,7 +83,7 @@ def checked(
     told: Callable[[Detections, Source], None] = lambda found, source: None,
     alone: bool = True,
 ) -> Checked:
-    """What `request` asks of the input at `path`; see `check`. told, alone : as of `measured`."""
+    """Check the input at `path` as `request` says; see `check`. told, alone : as in `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
     result = measured(source, request, progress, told, alone)
@@ -97,8 +97,8 @@ def checked(
 
 
 def require_claim(source: Source) -> None:
-    """Raise UsageError where `source` claims no scale that could be compared. Of a reconstruction only its scale tells
-    whether its unit looks like a metre."""
+    """Raise UsageError if `source` claims no scale to compare with. Never for a reconstruction: only once its scale is
+    measured is it known whether its unit is nearly a metre."""
     if source.posed is not None:
         return
     claimed = source.claimed
@@ -108,13 +108,13 @@ def require_claim(source: Source) -> None:
 
 
 def comparisons(result: Result) -> list[Comparison]:
-    """All that there is to compare the result with."""
+    """The claims of its source, compared with the result."""
     own = own_claim(result.source, result.scale) or metric_claim(result.source, result.scale)
     return [own] if own else []
 
 
 def _without_note(result: Result) -> Result:
-    """`result` without the note that a model's unit is nearly a metre, which its comparison with a metre says."""
+    """`result` without the note that a model's unit is nearly a metre: the comparison says so already."""
     scale = result.scale
     note = perhaps_metric(result.source, scale)
     scale = replace(scale, remarks=tuple(remark for remark in scale.remarks if remark not in note))

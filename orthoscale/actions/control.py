@@ -35,16 +35,16 @@ DISTANCE_HINT = (
     "or NAME@X,Y (a pixel on the ground in one of its frames), in double quotes where the name has spaces or "
     "backslashes."
 )
-# Rays to one point that differ by less do not tell how far it is better than the ground does, which is known to 1 % of
-# the cameras' height: pixels are read to half of one, and poses are no better.
+# With a smaller angle between the rays to a point, its distance is less certain than from the ground, which is known to
+# 1 % of the cameras' height: pixels are read to half a pixel, and poses are no better.
 PARALLAX = math.radians(3)
-# [px] A mark that lies farther than that from where the rays of a point meet is on another point: poses and people err
-# by some pixels at most.
+# [px] A mark farther than this from where the rays of its point meet belongs to another point: errors of poses and of
+# people are some pixels at most.
 MISSED = 20.0
 
 
 def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Evidence:
-    """The known distance described by `text`, between two points of `source`, whose ground is that of `footing`. Raises
+    """The known distance described by `text`, between two points of `source`; `footing` is its ground. Raises
     UsageError."""
     try:
         words = shlex.split(text)
@@ -62,12 +62,12 @@ def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Ev
 
 
 def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Evidence:
-    """Ground control from the file at `path` (`read_control_file`), its points in `source`, whose ground is that of
-    `footing`. Raises InputError, UsageError.
+    """Ground control from the file at `path` (`read_control_file`), with its points located in `source`; `footing` is
+    the ground of `source`. Raises InputError, UsageError.
 
-    Distances are compared that both sides have: in an orthophoto they are horizontal, whatever UP says; in a model they
-    are those in space, or without UP horizontal ones. What is level there is not known: the ground's plane stands for
-    it. A point that several pictures show lies where their rays meet, one that a single picture shows on the ground.
+    The distances that are compared are horizontal in an orthophoto, whatever UP says; in a model they are spatial, or
+    horizontal without UP. A model does not say what is horizontal: the plane of its ground is taken. A point marked in
+    several pictures lies where their rays meet, one marked in a single picture lies on the ground.
     """
     file = read_control_file(path)
     if file.of_project and source.posed is None:
@@ -104,7 +104,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
 
 
 def _by_file_name(names: Iterable[str]) -> dict[str, list[str]]:
-    """A model's pictures, which may have folders before their names, by the names of their files."""
+    """The names of a model's pictures, which may include folders, by their bare file names."""
     named: dict[str, list[str]] = {}
     for name in names:
         named.setdefault(Path(name).name, []).append(name)
@@ -112,7 +112,8 @@ def _by_file_name(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Those of a project's `marks` that are in the model's pictures, `named` by their files, by its names for them."""
+    """The `marks` of a project that lie in the model's pictures, with the model's names for these. named : these names
+    by bare file name."""
     found: list[str] = []
     for mark in marks:
         picture, _, place = mark.rpartition("@")
@@ -125,8 +126,8 @@ def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple
 
 @dataclass(frozen=True)
 class _Footed:
-    """A point of a source on its true ground. place, read_sd, ray : as `core.source.Located` has them. seen : (D,) its
-    place on the ground where it was seen [units, world]. met : it lies where several rays meet, on whatever ground."""
+    """A point of a source on its true ground. place, read_sd, ray : as in `core.source.Located`. seen : (D,) its place
+    before it was moved to that ground [units, world]. met : it lies where several rays meet, whatever the ground."""
 
     place: np.ndarray
     read_sd: float
@@ -136,20 +137,20 @@ class _Footed:
 
     @classmethod
     def on(cls, footing: Footing, point: Located) -> _Footed:
-        """`point` on the ground of `footing`, if it was seen on a ground."""
+        """`point` moved to the ground of `footing`, if it was located by a ray that meets the ground."""
         lower = float(footing.at(point.place[None])[0][0]) if point.ray.any() else 0.0
         return cls(point.place + lower * point.ray, point.read_sd, (1 + lower) * point.ray, point.place)
 
     def from_above(self, source: Source) -> _Footed:
-        """The same on the plan of `source`."""
+        """The same point projected onto the plan of `source`."""
         near, far = source.from_above(np.array([self.place - self.ray, self.place]))
         return replace(self, place=far, ray=far - near)
 
 
 def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _Footed:
-    """The point of `source` that `marks` mean together: where their rays meet if they are of cameras that stand apart,
-    else what the first of them means. Marks near the horizon do not count beside others. Raises ValueError where rays
-    do not meet."""
+    """The point of `source` that all `marks` show: where their rays meet, if these differ by PARALLAX or more; else the
+    point of the first mark. Marks near the horizon count only if there is no other. Raises ValueError if the rays do
+    not meet."""
     seen: dict[str, Located] = {}
     for mark in marks:
         try:
@@ -174,7 +175,7 @@ def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _F
 
 
 def _with_ground(found: Evidence, points: list[_Footed], footing: Footing) -> Evidence:
-    """What `points` gave, with the error of the ground on which they were seen."""
+    """The evidence `found` from `points`, with the error of the ground on which they lie."""
     rays = np.array([point.ray for point in points])
     if not rays.any():
         return found

@@ -1,8 +1,8 @@
 """Compares an orthophoto with the reconstruction it was made from, by the vehicles that both show.
 
-The orthophoto has the vehicles' positions in pixels, the model in its units. The positions fix the similarity transform
-between the two, independently of the vehicles' sizes. So the model's scale gives metres per pixel a second time, from
-other pictures and by another projection than the orthophoto's own boxes.
+The orthophoto has the vehicles' positions in pixels, the model has them in its units. The positions give the similarity
+transform between the two, independently of the vehicles' sizes. So the model's scale gives metres per pixel a second
+time, from other pictures and by another projection than the orthophoto's own boxes.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ if TYPE_CHECKING:
     from ..core.source import Plan, PosedSet, Source
     from ..report.result import Result
 
-SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
-LIKELY_RATIO = 0.25  # the two scales differ by less, so that chance alignments need not be tried
+SAME_POSITION = 0.35  # largest distance between a vehicle's two positions, as a share of a vehicle's length
+LIKELY_RATIO = 0.25  # largest log ratio of the two scales; alignments by chance beyond it need not be tried
 MIN_MATCHED = 6
-NEIGHBOURS_ASKED = 24  # vehicles about one that must fall on others too, before more are asked
-PAIR_STEP = 8  # of these neighbours each so many-th makes a pair with it, the farthest first: it turns least
-MOST_VEHICLES_BEGUN = 40  # vehicles that are begun with
-MOST_PAIRS_TRIED = 20_000  # pairs that one pair is laid on
-MOST_PAIRS_GROWN = 6  # of these, those that are looked at further
-ENOUGH_COMMON = 0.9  # share of the vehicles of the smaller set that are common, from which no other place is looked for
-MOST_WITHOUT_BETTER = 12  # vehicles begun with since the best place was found, after which no other is looked for
-LEAST_COMMON = 0.2  # the same share, below which the places are not the same
-PLACES_ELSEWHERE = 100  # places that tell how many are common by chance
-BY_CHANCE = 1e-3  # of all tries, how many may reach as many common vehicles where there are none
+NEIGHBOURS_ASKED = 24  # nearest vehicles of a start that test an alignment, before more vehicles do
+PAIR_STEP = 8  # one in this many neighbours makes a pair with the start, the farthest first: it fixes the rotation best
+MOST_VEHICLES_BEGUN = 40  # vehicles from which the search starts
+MOST_PAIRS_TRIED = 20_000  # pairs of the other set that one pair is laid on
+MOST_PAIRS_GROWN = 6  # the best alignments of these, which are fitted to more vehicles
+ENOUGH_COMMON = 0.9  # the search ends if more than this share of the smaller set's vehicles are common
+MOST_WITHOUT_BETTER = 12  # the search ends after so many starts without a better alignment
+LEAST_COMMON = 0.2  # share of the smaller set's vehicles below which the two do not show the same place
+PLACES_ELSEWHERE = 100  # shifted places, which show how many vehicles coincide by chance
+BY_CHANCE = 1e-3  # largest expected number of tries that have as many common vehicles by chance alone
 
 
 @dataclass(frozen=True)
 class CrossCheck:
     """An orthophoto compared with a model.
 
-    units_per_pixel : model units that one pixel of the orthophoto covers. common : vehicles found in both. by_model :
-    metres per pixel by the model's vehicles; by_ortho : by the orthophoto's own. agreement : of the two.
+    units_per_pixel : model units that one pixel of the orthophoto covers. common : number of vehicles found in both.
+    by_model : metres per pixel from the model's vehicles; by_ortho : from the orthophoto's own. agreement : of the two.
     """
 
     units_per_pixel: float
@@ -68,8 +68,8 @@ class CrossCheck:
 def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     """Compare the scale of the orthophoto `ortho` with that of the reconstruction `model`.
 
-    Raises UsageError if they are not one of each, TooLittleEvidence if their vehicles do not match: another place, or
-    too few.
+    Raises UsageError if they are not one of each, TooLittleEvidence if their vehicles do not match: they show another
+    place, or there are too few.
     """
     plan, posed = plan_and_posed(ortho.source, model.source)
     places = posed.from_above(model.votes.place[model.scale.used])
@@ -97,18 +97,19 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
 
 
 def plan_and_posed(ortho: Source, model: Source) -> tuple[Plan, PosedSet]:
-    """The two as what they must be for a cross-check. Raises UsageError if they are not one of each."""
+    """The plan of `ortho` and the posed set of `model`. Raises UsageError if they are not one of each."""
     if ortho.plan is None or model.posed is None:
         raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
     return ortho.plan, model.posed
 
 
 def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | None:
-    """The scale of the similarity from `a` (N, 2) to `b` (M, 2) that most points follow, and how many; None if few do.
+    """The scale of the similarity from `a` (N, 2) to `b` (M, 2) that most points agree with, and how many do; None if
+    few do.
 
-    Both in about the same unit (to LIKELY_RATIO); `reach` is how far apart a pair may be. A point of `a` and one near
-    it are laid on all such pairs of `b`. Where their neighbours fall on points of `b` too, the similarity is fitted to
-    more and more of them by least squares (Umeyama 1991). Seeded.
+    Both are in about the same unit (to LIKELY_RATIO); `reach` is the largest distance between matching points. A point
+    of `a` and one near it are laid on all such pairs of `b`. Where their neighbours fall on points of `b` too, the
+    similarity is fitted to more and more of them by least squares (Umeyama 1991). Seeded.
     """
     if min(len(a), len(b)) < MIN_MATCHED:
         return None
@@ -146,8 +147,8 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
             break
     if best < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
         return None
-    # By chance: the same laid elsewhere, not far, so that vehicles stand as densely there; in all directions, and along
-    # a row. Two are common because they were laid on each other.
+    # How many coincide by chance: the points are shifted a little, to places where vehicles stand as densely; in all
+    # directions, and along rows. Two points coincide because they were laid on each other, and do not count.
     far = reach * random.uniform(4, 12, PLACES_ELSEWHERE)
     row = np.linalg.eigh(np.cov((a - a.mean(0)).T))[1][:, 1] @ (1, 1j) * factor / abs(factor)
     directions = np.exp(2j * np.pi * random.random(PLACES_ELSEWHERE)), row * random.choice([-1, 1], PLACES_ELSEWHERE)
@@ -156,7 +157,7 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
 
 
 def _near_pairs(z: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]:
-    """Ordered pairs (P,), (P,) of points that are near each other: each with its nearest 2 NEIGHBOURS_ASKED."""
+    """Ordered pairs (P,), (P,) of neighbouring points: each point with its 2 NEIGHBOURS_ASKED nearest."""
     near = tree.query(_plane(z), min(2 * NEIGHBOURS_ASKED, len(z)))[1]
     first = np.repeat(np.arange(len(z)), near.shape[1])
     other = first != near.ravel()
@@ -169,15 +170,15 @@ def _plane(z: np.ndarray) -> np.ndarray:
 
 
 def _hits(z: np.ndarray, tree: cKDTree, reach: float) -> np.ndarray:
-    """Which of the points `z`, complex, of any shape, have one of the `tree` within `reach`."""
+    """Which of the complex points `z`, an array of any shape, have a point of `tree` within `reach`."""
     return tree.query(_plane(z), distance_upper_bound=reach)[0] < np.inf
 
 
 def _grown(
     za: np.ndarray, zb: np.ndarray, tree: cKDTree, factor: complex, shift: complex, reach: float
 ) -> tuple[int, complex, complex] | None:
-    """How many of `za`, sorted from where the similarity is known outwards, it lays on points of `zb` when it is fitted
-    to more and more of them; and what it is then. None where it is lost."""
+    """The number of points `za` that fall on points of `zb` after the similarity was fitted to more and more of them,
+    and the fitted factor and shift; None if the fit fails. za : sorted outwards from where the similarity is known."""
     sizes = NEIGHBOURS_ASKED * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS_ASKED, 1)))) + 1)
     for n in [*np.repeat(sizes, 2), len(za)]:
         distance, index = tree.query(_plane(factor * za[:n] + shift), distance_upper_bound=reach)

@@ -1,4 +1,4 @@
-"""The main sequence: source, tiles, boxes, projection, pooling, Scale; copy and report follow in `actions.fix`."""
+"""The main sequence: source, tiles, boxes, projection, pooling, Scale; `actions.fix` adds the copy and the report."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from ..requests import EstimateOptions
     from ..sources.satellite import Satellite
 
-HINT_SD, CLAIM_SD = 0.15, 0.1  # of --gsd-hint, and of georeferencing, relative one-sigma, where anchors must do alone
+HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georeferencing, where no vehicles give a scale
 
 log = logging.getLogger(__name__)
 
@@ -77,30 +77,31 @@ def estimate(
     Where the vehicles' boxes come from
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else that of the country
     where the input lies, else ``world``.
-    detections : boxes from a file instead of the detector; see `formats.detections` for them.
+    detections : file of boxes to use instead of the detector; see `formats.detections`.
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, if the file does not say (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
-    measurer : network that measures vehicles seen from above again, "built-in", "none" or an ONNX file; see `requests`.
+    measurer : second network, which measures vehicles seen from above again: "built-in", "none" or an ONNX file; see
+    `requests`.
     fast : the small detector makes both detection passes over an orthophoto.
-    calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
+    calibration : file of `orthoscale.calibrate`, whose ruler replaces the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
-    the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
+    a scale search. refine : look at every vehicle four more times, rotated and at neighbouring resampling factors.
 
     How it is measured
     images : folder of a model's frames, when not beside it. ground_cloud : its dense cloud or workspace, "none" for its
     sparse points alone; by default one that lies beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
-    projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    further evidence, see `actions.control`. gps : whether the GPS positions of a model's frames count, see
-    `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which objects
-    of standard size are looked for, and anchor : your own standards for them, see `actions.anchors`.
+    projection, estimator : alternatives to the usual ones, see `measuring.method.Method`. known_distance,
+    ground_control : further evidence, see `actions.control`. gps : whether the GPS positions of a model's frames count,
+    see `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which
+    objects of standard size are looked for, and anchor : your own standards for them, see `actions.anchors`.
 
-    How much is looked at, and with what (`detect.find.Effort`)
+    How much of the pictures is processed, and by what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
 
-    `requests.EstimateRequest` has the defaults, and what excludes what. Raises InputError, UsageError (no such
-    option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
+    `requests.EstimateRequest` has the defaults, and which options exclude each other. Raises InputError, UsageError (no
+    such option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
     return measured(path, EstimateRequest.of(options), progress)
 
@@ -109,9 +110,9 @@ def estimate(
 class Opened:
     """The inputs of a request, opened and checked against each other, before anything is measured.
 
-    fleet : whose vehicles they are. why : notes on its choice, if the user did not name it. given : the user's evidence
-    on the scale, and that of the frames' GPS positions. own : the user's standards for anchors, by kind. satellite :
-    the map that the source is compared with.
+    why : notes on how the fleet was chosen, if the user did not name it. given : the user's evidence on the scale, and
+    that of the frames' GPS positions. own : the user's standards for anchors, by kind. satellite : the map that the
+    source is compared with.
     """
 
     source: Source
@@ -126,7 +127,7 @@ class Opened:
 def source_of(
     path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
 ) -> Source:
-    """The input at `path`, opened as `request` says; a source is returned as it is. progress : of reading its dense
+    """The input at `path`, opened as `request` says; a source is returned as it is. progress : for reading its dense
     cloud. Raises InputError, UsageError."""
     if not isinstance(path, (str, Path)) and hasattr(path, "posed"):
         return path
@@ -134,7 +135,7 @@ def source_of(
 
 
 def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
-    """All inputs that `request` names, with the one at `path`. progress : of reading its dense cloud.
+    """The input at `path`, with all files that `request` names. progress : for reading its dense cloud.
 
     Raises InputError, UsageError.
     """
@@ -152,7 +153,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
 class _Answer:
     """A scale, and what entered it besides the boxes.
 
-    method : with all evidence. anchors : those in the pictures. on_map : where the source lies on the map of
+    method : with all evidence. anchors : those found in the pictures. on_map : where the source lies on the map of
     `--against`.
     """
 
@@ -169,8 +170,8 @@ def measured(
     told: Callable[[Detections, Source], None] = lambda found, source: None,
     alone: bool = True,
 ) -> Result:
-    """What `request` asks of the input at `path`; see `estimate`. told : the boxes and their source, as soon as they
-    are there. alone : whether `request` is for this input only."""
+    """Measure the input at `path` as `request` says; see `estimate`. told : called with the boxes and their source as
+    soon as the boxes are found. alone : whether `request` is for this input only."""
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
@@ -209,7 +210,7 @@ def measured(
 
 
 def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidence:
-    """The same error with the cautions from opening `source`, which may be why no vehicles are known in it."""
+    """The same error with the cautions from opening `source`, which may be why too few vehicles were found in it."""
     cautions = [f"Caution: {note.text}." for note in source.notes if note.severity == CAUTION]
     return TooLittleEvidence(error.message, "\n".join([error.hint, *cautions]))
 
@@ -217,7 +218,7 @@ def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidenc
 def _found(
     asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
 ) -> tuple[Detections, ZoomChoice | None]:
-    """The boxes that are measured, from a file or by a detector, with the ruler that fits them."""
+    """The boxes to measure, from a file or by a detector, with the ruler that belongs to them."""
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
@@ -231,14 +232,14 @@ def _found(
 
 
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
-    """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale.
+    """The scale from the vehicles; then with the evidence of the map and of the anchors, both searched at that scale.
 
     Raises TooLittleEvidence, UsageError.
     """
     source, fleet = asked.source, asked.fleet
     footing = footing_of(source, found, fleet)
     given = method
-    if footing is not BY_POINTS:  # what was given lies on that ground, too
+    if footing is not BY_POINTS:  # the user's evidence is measured on that ground, too
         evidence = _given(source, request, footing)
         given = replace(method, evidence=tuple(evidence))
     by_vehicles = _by_vehicles(source, found, fleet, given, request)
@@ -255,7 +256,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     if not method.vehicles_only and not by_map.scale.conflict:
         try:
             anchors = look_for_anchors(source, by_map.scale, replace(wanted, footing=footing))
-        except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
+        except InputError as error:  # if the boxes came from a file, damaged pictures are noticed only here
             anchors = FoundAnchors(notes=(f"no anchors were looked for: {error.message}",))
     if not anchors.votes:
         return _Answer(by_map, with_map, anchors, match)
@@ -272,10 +273,10 @@ def _without_vehicles(
     wanted: Wanted,
     error: TooLittleEvidence,
 ) -> _Answer:
-    """The scale by what is given, anchors and the map, where vehicles gave only the `error`; it is raised where these
-    do not suffice.
+    """The scale from the user's evidence, anchors and the map, where vehicles gave none but raised `error`; that is
+    raised again if these do not suffice.
 
-    lost : boxes that are no vehicles, by reason.
+    lost : number of boxes that are not vehicles, by reason.
     """
     rough, match = _rough(asked.source, request), OnMap()
     if asked.satellite is not None and rough is not None:
@@ -289,8 +290,8 @@ def _without_vehicles(
 def _by_vehicles(
     source: Source, found: Detections, fleet: Fleet, method: Method, request: EstimateRequest
 ) -> Measurement:
-    """The scale by the vehicles `found`. Raises TooLittleEvidence that names the input and says how large vehicles are
-    in it; UsageError."""
+    """The scale from the vehicles `found`. Raises TooLittleEvidence, which names the input and the size of its
+    vehicles; UsageError."""
     try:
         return measure_source(source, found, fleet, method, request.wanted_mode)
     except TooLittleEvidence as error:
@@ -304,8 +305,8 @@ def _by_vehicles(
 def _by_the_rest(
     source: Source, fleet: Fleet, method: Method, lost: Mapping[str, int], error: TooLittleEvidence
 ) -> Measurement:
-    """What all other evidence gives, where vehicles gave only the `error`; it is raised where that does not suffice
-    either."""
+    """The scale from all other evidence, where vehicles gave none but raised `error`; that is raised again if the other
+    evidence does not suffice either."""
     evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
     if not evidence:
         raise error
@@ -317,7 +318,7 @@ def _by_the_rest(
 
 
 def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | None:
-    """Metres per unit and one sigma of it, from what the user or the source says; None where neither does."""
+    """Metres per unit and its relative one-sigma, as the user or the source states it; None where neither does."""
     if request.gsd_hint is not None and source.plan is not None:
         return request.gsd_hint, HINT_SD
     claimed = source.claimed
@@ -329,7 +330,7 @@ def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | No
 def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
+    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees; both name the input."""
     effort, network = effort_of(request), detector_of(source, request)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
@@ -352,13 +353,13 @@ def effort_of(request: EstimateRequest) -> Effort:
 def detector_of(source: Source, request: EstimateRequest) -> Detector:
     """The detector that `request` asks for, for `source`. Raises InputError, UsageError."""
     path = None if request.detector is None else Path(request.detector)
-    # Somebody else's network looks at one image at a time, with all cores.
+    # A user's own network processes one image at a time, with all cores.
     threads = effort_of(request).threads_each if path is None else 0
     return Detector(path, request.decoder, request.vehicle_classes, threads, _passes(source, request))
 
 
 def _passes(source: Source, request: EstimateRequest) -> Passes:
-    """How the pictures of `source` are looked at."""
+    """Which detection passes are made over the pictures of `source`."""
     if source.plan is None:
         return Passes.COARSE_FIRST
     if request.confirms:
@@ -367,8 +368,8 @@ def _passes(source: Source, request: EstimateRequest) -> Passes:
 
 
 def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:
-    """What the user and the frames' tags know of the scale [m per unit], on the ground of `footing`. Raises UsageError,
-    InputError."""
+    """The evidence on the scale [m per unit] from the user and from the frames' tags, on the ground of `footing`.
+    Raises UsageError, InputError."""
     given = [read_distance(text, source, footing) for text in dict.fromkeys(request.known_distance)]
     if request.ground_control is not None:
         given.append(read_control(Path(request.ground_control), source, footing))
@@ -376,13 +377,13 @@ def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINT
 
 
 def _gps(source: Source, request: EstimateRequest) -> GpsScale:
-    """What the GPS positions of frames say of the scale, where there are any and they count."""
+    """The scale from the GPS positions of frames, if there are any and they count."""
     return source.posed.gps if source.posed is not None and request.counts_gps else GpsScale()
 
 
 def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
-    """The ground of a reconstruction by the vehicles `found`, in its frames or else in its ground pictures; by its
-    sparse points alone where these are too few."""
+    """The ground of a reconstruction, from the vehicles `found` in its frames or else in its ground pictures; from its
+    sparse points alone where vehicles are too few."""
     if source.posed is not None:
         with suppress(TooLittleEvidence):
             return FramesGeometry.of(source.posed, found, fleet, Method()).footing
@@ -402,7 +403,7 @@ def _satellite(path: str | Path | None) -> Satellite | None:
 
 
 def _sampling(source: Source, fleet: Fleet) -> Sampling:
-    """The sampling part of the uncertainty after a part of the sweep of `source`."""
+    """Functions that give the sampling part of the uncertainty after a part of the sweep of `source`."""
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
     plan, posed = source.plan, source.posed
 
@@ -425,8 +426,7 @@ def _sampling(source: Source, fleet: Fleet) -> Sampling:
 
 
 def _typical_length(found: Detections) -> str:
-    """How long vehicles are in the pictures [px], the median of all boxes, as a part of a sentence; or that there are
-    none."""
+    """Part of a sentence: the median length of all boxes [px], or that there are none."""
     boxes = found.boxes or (found.planar.boxes if found.planar is not None else {})
     lengths = [one.length for one in boxes.values() if len(one)]
     if not lengths:

@@ -32,9 +32,9 @@ BoxesAndZoom = tuple[Detections, "ZoomChoice | None"]
 
 @dataclass(frozen=True)
 class Sampling:
-    """How far the vehicles found so far determine the scale; None if all pictures are to be processed.
+    """How well the vehicles found so far determine the scale; None if all pictures are to be processed.
 
-    in_pictures : of an orthophoto or of frames. from_above : of ground pictures of a model.
+    in_pictures : in an orthophoto or in frames. from_above : in the ground pictures of a model.
     """
 
     in_pictures: Spread | None = None
@@ -55,16 +55,16 @@ class VehicleSearch:
     progress: Progress | None = None
 
     def within(self, where: str) -> VehicleSearch:
-        """The same, with `where` added to what its progress says."""
+        """The same search, with `where` appended to its progress messages."""
         return replace(self, progress=_named(self.progress, where))
 
     def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> BoxesAndZoom:
-        """See `find_vehicles`, of which `spread` is the sampling."""
+        """See `find_vehicles`; `spread` is its `sampling`."""
         return find_vehicles(pictures, self.detector, self.zoom, self.progress, self.effort, spread, cover)
 
 
 def find_in(source: Source, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
-    """The vehicles in `source`. mode : of a posed set, see `find_in_model`.
+    """The vehicles in `source`. mode : for a posed set, see `find_in_model`.
 
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
@@ -74,10 +74,11 @@ def find_in(source: Source, mode: str | None, search: VehicleSearch) -> BoxesAnd
 
 
 def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
-    """The vehicles in the frames of `source`, and in `planar` those in its ground pictures, as `mode` asks.
+    """The vehicles in the frames of `source`, and as `Detections.planar` those in its ground pictures, as `mode` asks.
 
-    Of FEW_FRAMES or more, only those that show all of the ground are processed (`detect.cover`), if the search has a
-    `sampling` that decides whether they are enough for a scale. Without it all are processed. Raises TooLittleEvidence.
+    Of FEW_FRAMES frames or more, only a selection that covers the whole ground is processed (`detect.cover`), if the
+    search has a `sampling` that decides whether this is enough for a scale. Without it all are processed. Raises
+    TooLittleEvidence.
     """
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
@@ -101,7 +102,7 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
     if not plans:
         return found, choice
     try:
-        known = found.zoom  # what `zoom_of_frames` would give
+        known = found.zoom  # the same as `zoom_of_frames` would find
         from_above, _ = planar(plans, search.within("from above"), lambda: known)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
@@ -111,11 +112,11 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
 def _planar(
     plans: Sequence[GroundView], search: VehicleSearch, cover: Cover | None, of_frames: Callable[[], float]
 ) -> BoxesAndZoom:
-    """The vehicles in pictures of the ground, the same in `planar` alone and beside the frames.
+    """The vehicles in ground pictures; the same whether these are searched alone or besides the frames.
 
     The resampling factor is first searched for in these pictures themselves. Where there are few vehicles, a slightly
-    different factor may decide whether they are enough: then that `of_frames`, which show them equally large, is tried.
-    Raises TooLittleEvidence, EvidenceDisagrees.
+    different factor may decide whether they are enough: then the factor `of_frames` is tried, whose vehicles have the
+    same size in pixels. Raises TooLittleEvidence, EvidenceDisagrees.
     """
     spread = search.sampling.from_above
     stop = spread if cover is not None else None
@@ -151,7 +152,7 @@ def _plans(source: PosedSet, needed: bool) -> list[GroundView]:
 
 
 def measurer_of(request: EstimateRequest) -> Measurer | None:
-    """The network that measures vehicles once more, as `request` says; None where none does. Raises InputError."""
+    """The measurer that `request` names; None if it wants none. Raises InputError."""
     if request.measures is None:
         return None
     return Measurer(None if request.measures == BUILT_IN else Path(request.measures))
@@ -164,8 +165,8 @@ def measured_anew(
     effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` with its vehicles measured by the measurer of `request`, those of frames and of ground pictures each in
-    their own pixels; unchanged if it has none. Raises InputError."""
+    """`found` with its vehicles measured by the measurer of `request`, in frames and in ground pictures separately;
+    unchanged if it has none. Raises InputError."""
     if (measurer := measurer_of(request)) is None:
         return found
     if source.posed is None:

@@ -1,4 +1,4 @@
-"""Copies that an earlier run of `fix` wrote: of which input they are, and whether they are what is asked for now."""
+"""Copies that an earlier run of `fix` wrote: from which input, and whether they are what is asked for now."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..requests import EstimateRequest, FixRequest
 from .estimate import source_of
 from .fix import report_paths
 
-SAME_COPY = ("overwrite", "workers", "scheduler", "cache")  # options with which the copy is the same
-PERMITTING = ("force", "override")  # without which there may be no copy, but never another one
+SAME_COPY = ("overwrite", "workers", "scheduler", "cache")  # options that do not change the copy
+PERMITTING = ("force", "override")  # options that may permit a copy, but do not change it
 
 
 def report_of(out: Path) -> dict[str, Any] | None:
-    """The report that lies with the copy at `out`; None where there is none that can be read."""
+    """The report of the copy at `out`; None if there is none that can be read."""
     try:
         return completed(read_json(_place(out)))
     except InputError:
@@ -35,15 +35,15 @@ def _place(out: Path) -> Path:
 
 
 def input_of(report: Mapping[str, Any]) -> Path:
-    """What a report's copy was made from, with all links resolved, whether or not it is still there."""
+    """The input of which a report's copy was made, with all links resolved, whether or not it still exists."""
     return Path(os.path.realpath(Path(report["input"]["folder"]) / report["input"]["path"]))
 
 
 def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any], Source] | None:
-    """The report of the copy at `out`, and the input at `path` opened, where an earlier run did what `request` asks.
+    """The report of the copy at `out`, and the opened input at `path`, if an earlier run did what `request` asks.
 
-    None where `request` says to overwrite, and where nothing at `out` tells how it was made. Raises UsageError for a
-    copy that was made otherwise; what opening the input does.
+    None if `request` says to overwrite, or if no report at `out` says how it was made. Raises UsageError for a copy
+    that was made from another input or with other options, and what opening the input raises.
     """
     report = None if request.overwrite or not out.exists() else report_of(out)
     if report is None:
@@ -55,12 +55,12 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
 
 
 def is_finished(path: Path, out: Path, request: EstimateRequest) -> bool:
-    """Whether `fix` would leave the copy at `out`; see `finished` for what it raises."""
+    """Whether `fix` would leave the copy at `out` as it is; raises what `finished` raises."""
     return isinstance(request, FixRequest) and finished(path, out, request) is not None
 
 
 def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[str, Any]) -> str:
-    """Why the copy is not what is asked for, as the end of a sentence; '' where it is."""
+    """Why the copy is not what is asked for, as the end of a sentence; '' if it is."""
     if os.path.realpath(source.path) != str(input_of(report)):
         return f"is the copy of {input_of(report)}"
     if other := _other_options(request, report["settings"]):
@@ -78,7 +78,7 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
 
 
 def _copied(out: Path) -> list[Path]:
-    """The files of the copy itself. Its report's JSON is written after them, page and picture after that."""
+    """The files of the copy itself. The report's JSON is written after them, its page and picture after that."""
     if not out.is_dir():
         return [out]
     of_report = report_paths(out, True, "html").values()
@@ -86,7 +86,7 @@ def _copied(out: Path) -> list[Path]:
 
 
 def _beside_copy(out: Path, request: FixRequest) -> list[Path]:
-    """The parts of the report, and what else `request` wants written beside the copy."""
+    """The parts of the report, and the other files that `request` wants beside the copy."""
     extras = [extra.place(out) for extra in chosen(request.also)]
     return [*report_paths(out, out.is_dir(), request.report).values(), *extras]
 
@@ -97,7 +97,7 @@ def _later(files: Iterable[Path], written: float) -> Path | None:
 
 
 def _other_options(request: FixRequest, settings: Mapping[str, Any]) -> list[str]:
-    """Names of the options that `settings`, those of a report, have otherwise than `request`."""
+    """Names of the options that differ between `request` and `settings`, those of a report."""
     asked = json.loads(json.dumps(request.with_absolute_paths().settings()))
     return [
         flag(each)

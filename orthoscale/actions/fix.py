@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
-REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
+REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by --report
 
 
 def fix(
@@ -53,8 +53,8 @@ def fix(
     force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
-    save_detections : also keep the boxes in this file, those of a scale that is refused too.
-    Raises what `estimate` raises, OutputError; Incomplete if the copy is verified and in its place but something beside
+    save_detections : also keep the boxes in this file, even if the scale is refused.
+    Raises what `estimate` raises, OutputError; Incomplete if the copy is verified and in its place but a file beside
     it could not be made.
     """
     keep = None if save_detections is None else path_of(save_detections, "the path of the boxes")
@@ -70,7 +70,7 @@ def written(
     save_detections: Path | None = None,
     alone: bool = True,
 ) -> Result:
-    """What `request` asks of the input at `path`, written at `out`; see `fix`. alone : as of `measured`."""
+    """Write the copy of the input at `path` that `request` asks for at `out`; see `fix`. alone : as in `measured`."""
     with Outputs(request.overwrite, (path, request.inputs)) as outputs:
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, boxes = begun.source, begun.writer, begun.boxes
@@ -81,7 +81,7 @@ def written(
                 result.require_useful()
         result = replace(result, settings=request.without(("overwrite",)).settings())
         writer.write(begun.main, result)
-        # The copy is verified: what fails from here on does not take it away.
+        # The copy is verified: it stays even if something fails from here on.
         write_report(result, begun.parts, outputs.attempt)
         writer.write_more(result, outputs)
         if boxes.partial is not None:
@@ -97,7 +97,8 @@ def written(
 
 
 def rehearsed(path: Path, out: Path, request: FixRequest, save_detections: Path | None = None) -> list[Path]:
-    """What `written` would write, the copy first; nothing is. Raises what that raises before it measures."""
+    """The paths that `written` would write, the copy first; writes nothing. Raises what that raises before it
+    measures."""
     with Outputs(request.overwrite, (path, request.inputs), dry_run=True) as outputs:
         _begin(path, out, request, outputs, save_detections)
     return outputs.places
@@ -122,9 +123,9 @@ def _begin(
     save_detections: Path | None,
     progress: Progress | None = None,
 ) -> _Begun:
-    """Open the input, refuse what makes no sense, and claim all outputs."""
+    """Open the input, refuse what makes no sense, and reserve all outputs."""
     if os.path.lexists(out) and path.is_file() and path.suffix.lower() in PICTURES:
-        # That it exists matters only where it might be written.
+        # Check the name first: an existing file matters only if its name is one that could be written.
         RasterSource.check_name(out)
     outputs.check(out)
     if save_detections is not None:
@@ -133,7 +134,7 @@ def _begin(
     source = source_of(path, request, request.needs_pictures, progress)
     request.check_for(source)
     writer = _writer(source, out, request)
-    if source.metric_already and not request.override:  # not behind its owner's back
+    if source.metric_already and not request.override:  # an existing scale is replaced only if the user says so
         raise MetricAlready(
             f"{path} is in metres already: {source.metric_already}",
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
@@ -168,7 +169,7 @@ class _PlanWriter:
         self.extras = chosen(request.also)
         self.places_of_extras: list[Path] = []
         plan.check_name(out)
-        if request.against is None:  # a map may place what has no place of its own
+        if request.against is None:  # with a map, the copy may get a place that the input lacks
             for extra in self.extras:
                 extra.check(self.plan, request.keep_origin)
 
@@ -180,7 +181,7 @@ class _PlanWriter:
         parts = report_paths(self.out, False, self.request.report)
         parts = {kind: outputs.file(place) for kind, place in parts.items()}
         self.places_of_extras = [outputs.file(extra.place(self.out), extra.known(self.out)) for extra in self.extras]
-        # What lies beside the file that is replaced would speak for the new one.
+        # Files beside a replaced copy would be taken for those of the new one.
         for kind in set(REPORT_FILES["html"]) - set(parts):
             outputs.retire(_beside(self.out, f".{kind}"))
         for extra in WRITERS.values():
@@ -202,7 +203,7 @@ class _PlanWriter:
 
 
 class _PosedWriter:
-    """Writes a reconstruction: a folder with all in it."""
+    """Writes a reconstruction: a folder with all its files."""
 
     def __init__(self, posed: PosedSet, out: Path, request: FixRequest):
         self.posed, self.out, self.request = posed, out, request
@@ -221,7 +222,7 @@ class _PosedWriter:
             self.posed.write_dense(main / "dense", scale)
 
     def write_more(self, result: Result, outputs: Outputs) -> None:
-        """There is nothing else."""
+        """Nothing: all of it is in the folder."""
 
 
 def _beside(out: Path, suffix: str) -> Path:

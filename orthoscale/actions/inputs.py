@@ -23,8 +23,8 @@ from .workspace import models_in
 
 
 class Named:
-    """What the words of a command line name. Each folder that stands for what is in it is listed once, when it is first
-    asked for."""
+    """What the words of a command line name. A folder that stands for its contents is listed once, when first
+    needed."""
 
     def __init__(self, words: Iterable[Path]):
         self.words = tuple(words)
@@ -39,11 +39,11 @@ class Named:
     def inputs(self) -> list[Path]:
         """The inputs, each once, in the order of the words.
 
-        A folder that holds no model stands for the pictures and the models in it (but for a report's pictures), a
-        pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it, and a workspace with several models for each of
-        them, also where a folder or a pattern stands for it. What does not exist stands for itself, and so does a
-        folder in which there is nothing: what is wrong with it stops no other input. Raises InputError for a pattern
-        that nothing fits, and for such a folder alone.
+        A folder that is no model stands for the pictures and models in it (except a report's pictures), a pattern
+        (``*``, ``?``, ``[...]``, ``**``) for the paths that match it, and a workspace with several models for each of
+        them, even if it was named by a folder or a pattern. A path that does not exist stands for itself, and so does a
+        folder without inputs: its error must not stop the other inputs. Raises InputError for a pattern that matches
+        nothing, and for a folder without inputs if it is named alone.
         """
         found: dict[str, Path] = {}
         for word in self.words:
@@ -60,14 +60,14 @@ class Named:
 
     @property
     def not_looked_into(self) -> list[str]:
-        """Of each folder that stands for what is in it: the folders in it whose pictures do not count, in a sentence
-        that says how to name these."""
+        """A sentence for each folder that stands for its contents: which folders in it have pictures that do not count,
+        and how to name these."""
         self.inputs  # noqa: B018  lists the folders that fit a pattern
         told = []
         for word, listed in self._listed.items():
             pictures: dict[Path, Path] = {}
             for folder in listed.below if listed.inputs else ():
-                with suppress(OSError, IndexError):  # one that may not be listed, or has none
+                with suppress(OSError, IndexError):  # it may be unreadable, or have no pictures
                     pictures[folder] = _inside(folder).inputs[0]
             if pictures:
                 pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
@@ -84,20 +84,21 @@ class Named:
 
 
 def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
-    """Where in `folder` the scaled copy of each of `inputs` goes: a GeoTIFF of a picture's name, a folder of a model's.
+    """Where in `folder` the scaled copy of each of `inputs` goes: a GeoTIFF named after the picture, or a folder named
+    after the model.
 
-    Inputs of one name take their endings along (``site_jpg.tif``) where they lie in one folder, the names of the
-    folders above them (``flight1_odm_orthophoto.tif``) where they lie in several, or both. An input whose copy is there
-    already keeps its name, and never gets that of another one's copy, as far as the reports beside the copies tell.
-    Raises UsageError where `folder` and an input lie in each other: an output could take an input's place; and for a
-    folder that is called as a GeoTIFF.
+    Inputs of the same name get their endings added (``site_jpg.tif``) if they lie in one folder, the names of their
+    parent folders (``flight1_odm_orthophoto.tif``) if they lie in several, or both. An input whose copy exists already
+    keeps that name, and none gets the name of another input's copy, as far as the reports beside the copies tell.
+    Raises UsageError if `folder` and an input lie in each other, as an output could replace an input; and for a folder
+    with the name of a GeoTIFF.
     """
     _check_folder(inputs, folder)
     owner = cache(lambda name: _owner(folder / name))
     real = [Path(os.path.realpath(path)) for path in inputs]
     bare = [path.parent / path.stem.lower() for path in map(absolute, inputs)]
     twins = {each for each, count in Counter(bare).items() if count > 1}
-    folders = Counter(each.name for each in set(bare))  # in how many a name is
+    folders = Counter(each.name for each in set(bare))  # in how many folders each name occurs
     names = [_names(path, each in twins)[folders[each.name] > 1 :] for path, each in zip(inputs, bare, strict=True)]
     kept = [
         next((name for name in (*_names(path, False), *_names(path, True)) if owner(name) == mine), None)
@@ -129,7 +130,7 @@ def _check_folder(inputs: Sequence[Path], folder: Path) -> None:
 
 
 def _names(path: Path, with_ending: bool) -> list[str]:
-    """Names for the copy of the input at `path`, the shortest first; the last one is of no other input."""
+    """Names for the copy of the input at `path`, the shortest first; the last one is unique to it."""
     whole = absolute(path)
     *above, name = whole.parts[1:]
     end = ""
@@ -143,14 +144,14 @@ def _names(path: Path, with_ending: bool) -> list[str]:
 
 
 def _owner(out: Path) -> Path | None:
-    """The input whose copy `out` is; None where there is no copy, or nothing tells, or that input is gone."""
+    """The input of which `out` is the copy; None if there is no copy, its report is missing, or the input is gone."""
     report = report_of(out) if out.exists() else None
     source = None if report is None else input_of(report)
     return source if source is not None and source.exists() else None
 
 
 def is_picture(path: Path) -> bool:
-    """Whether an input is a picture; else it is a model. Looks at its name and kind only."""
+    """Whether an input is a picture; else it is a model. Decided by its name, and whether it is a folder, only."""
     return not path.is_dir() and find_exchange(path) is None
 
 
@@ -169,8 +170,8 @@ def _is_pattern(word: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Listed:
-    """inputs : the models and pictures in a folder. below : the folders in it that are no models. Both empty for what
-    is an input itself, or no folder."""
+    """inputs : the models and pictures in a folder. below : the folders in it that are no models. Both are empty for a
+    path that is an input itself, or no folder."""
 
     inputs: list[Path] = field(default_factory=list)
     below: list[Path] = field(default_factory=list)
@@ -181,7 +182,7 @@ def _in_folder(path: Path) -> _Listed:
 
 
 def _inside(folder: Path) -> _Listed:
-    """What lies in a `folder` that is no model."""
+    """The contents of a `folder` that is no model."""
     listed = _Listed()
     for each in sorted(folder.iterdir()):
         if each.name.startswith("."):
@@ -194,7 +195,7 @@ def _inside(folder: Path) -> _Listed:
 
 
 def _is_of_a_report(path: Path) -> bool:
-    """Whether it is the picture that `fix` drew beside a scaled orthophoto: ``scaled.tif.png``."""
+    """Whether `path` is the picture that `fix` drew beside a scaled orthophoto: ``scaled.tif.png``."""
     return path.with_suffix("").is_file() and ours(path)
 
 

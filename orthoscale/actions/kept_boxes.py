@@ -1,4 +1,4 @@
-"""The file that keeps the boxes of a run: also of one that gives no scale, whose boxes are worth a look above all."""
+"""Saves the boxes of a run to a file, even if it gives no scale: then they are most worth inspecting."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ NO_SCALE = (TooLittleEvidence, EvidenceDisagrees)
 
 
 class KeptBoxes:
-    """The boxes that were found so far, and where they are kept.
+    """The boxes that were found so far, and the file to save them in.
 
-    outputs : those that the file is one of. path : of the file, None to keep none. partial : where to write it.
-    Raises UsageError, OutputError.
+    outputs : to which the file is added. path : of the file, None to save none. partial : where it is written before it
+    is moved to `path`. Raises UsageError, OutputError.
     """
 
     def __init__(self, outputs: Outputs, path: Path | None) -> None:
@@ -30,19 +30,19 @@ class KeptBoxes:
         self._source: Source | None = None
 
     def take(self, found: Detections, source: Source) -> None:
-        """Remember what was `found` in `source`, in place of what was found before."""
+        """Remember the boxes `found` in `source`, instead of earlier ones."""
         self._found, self._source = found, source
 
     def save(self) -> None:
-        """Write what was taken, if it is to be kept. Raises UsageError, OSError."""
+        """Write the remembered boxes, if they are to be saved. Raises UsageError, OSError."""
         if self.partial is not None and self._found is not None and self._source is not None:
             self._outputs.protect(*self._source.files)
             save(self._found, self.partial, self._source)
 
     @contextmanager
     def also_without_scale(self) -> Iterator[None]:
-        """Where the block raises TooLittleEvidence or EvidenceDisagrees, boxes that were taken are put in their place
-        at once, and the error says so."""
+        """If the block raises TooLittleEvidence or EvidenceDisagrees, the remembered boxes are saved at once, and the
+        error says so."""
         with self.telling():
             try:
                 yield
@@ -54,7 +54,7 @@ class KeptBoxes:
 
     @contextmanager
     def telling(self) -> Iterator[None]:
-        """Where the block raises TooLittleEvidence or EvidenceDisagrees, the error says where the boxes are saved."""
+        """If the block raises TooLittleEvidence or EvidenceDisagrees, the error says where the boxes are saved."""
         try:
             yield
         except NO_SCALE as error:

@@ -20,7 +20,7 @@ from ..sources.country import country_of, named_fleet
 from .anchors import MOST_SOUGHT, Wanted, anchors_at, look_for_anchors, own_standards
 from .estimate import effort_of, footing_of, measured, source_of
 
-# Options that matter where the scale is told.
+# Options that have an effect where the scale is given by --scale.
 WITH_A_SCALE = ("fleet", "images", "ground_cloud", "anchors", "anchor", "workers", "cache")
 FORMAT_OF_LISTS = "orthoscale anchors 1"
 FILES_OF_LISTS = (".png", ".json", ".gpkg")
@@ -31,7 +31,8 @@ OTHER_FORMS = (".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".pdf"
 
 @dataclass(frozen=True)
 class AnchorList:
-    """What was found in a source, and at what scale [m per unit]; `scale` is None where that was told."""
+    """The anchors found in a source, and the scale used for the search [m per unit]; `scale` is None if that was given
+    by the user."""
 
     source: Source
     searched: FoundAnchors
@@ -39,7 +40,7 @@ class AnchorList:
     scale: Scale | None
 
     def document(self) -> dict[str, Any]:
-        """Plain values; the anchors as in a report."""
+        """As plain values, the anchors as in a report."""
         kinds = {vote.anchor.kind for vote in self.searched.votes}
         return {
             "format": FORMAT_OF_LISTS,
@@ -52,13 +53,14 @@ class AnchorList:
         }
 
     def write(self, folder: Path) -> None:
-        """anchors.json, anchors.png, and of an orthophoto anchors.gpkg, into an empty folder. Raises OutputError."""
+        """Write anchors.json, anchors.png, and for an orthophoto anchors.gpkg into an empty folder. Raises
+        OutputError."""
         for form in (".json", ".png", *([".gpkg"] if self.source.plan is not None and self.searched.votes else [])):
             self.write_one(folder / f"anchors{form}")
 
     def write_one(self, path: Path) -> None:
-        """The file that the ending of `path`, one of FILES_OF_LISTS, names. Raises OutputError; UsageError for a layer
-        of a model, TooLittleEvidence for one of nothing."""
+        """Write `path` in the format of its ending, one of FILES_OF_LISTS. Raises OutputError; UsageError for a GIS
+        layer of a model, TooLittleEvidence for a layer without anchors."""
         told = self.document()
         if path.suffix.lower() == ".json":
             write_json(told, path)
@@ -75,7 +77,7 @@ class AnchorList:
 
 def one_file(out: Path) -> bool:
     """Whether `out` names one file of a list rather than a folder for all of them. Raises UsageError for a picture or
-    a table of another form."""
+    a table in a format that is not written."""
     form = out.suffix.lower()
     if form in OTHER_FORMS:
         raise UsageError(
@@ -90,8 +92,8 @@ def list_anchors(
 ) -> AnchorList:
     """All anchors in the input at `path` of the kinds that `request` names, everywhere in it.
 
-    scale : rough metres per unit of the source, good to a tenth; by default what `estimate` looks for them at, so that
-    what it rests on is in the list. Raises as `estimate` does.
+    scale : rough metres per unit of the source, correct to 10 %; by default the scale at which `estimate` looks for
+    them, so that the anchors its result rests on are in the list. Raises what `estimate` raises.
     """
     own = own_standards(request.anchor)
     effort = replace(effort_of(request), exhaustive=True)
@@ -99,7 +101,7 @@ def list_anchors(
         if request.vehicles_only:
             raise UsageError("--estimator iqr is the paper's, for vehicles only", "Remove --estimator.")
         result = measured(path, request, progress)
-        by_vehicles = result.anchors.without or result.scale  # at another scale others might be found
+        by_vehicles = result.anchors.without or result.scale  # at another scale, other anchors might be found
         country = result.method.country
         footing = footing_of(result.source, result.detections, result.fleet)
         wanted = Wanted(request.anchors, own, country, effort, progress, footing)

@@ -1,4 +1,4 @@
-"""Locates photos on a map: from a request to the place where each was taken."""
+"""Locates photos on a map: finds the place where each was taken."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from ..photos.looking import WITH_GSD, Looking
 from ..sources.satellite import Satellite
 
 LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
-ANY_HEADING = "search"  # instead of a heading: any
-CANDIDATES_LISTED = 5  # candidates that are listed
+ANY_HEADING = "search"  # value of --heading for any heading
+CANDIDATES_LISTED = 5  # number of candidates in the results
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocateRequest:
-    """What is asked of a search.
+    """The options of a search.
 
     prior : "LON,LAT,RADIUS", or "X,Y,RADIUS" in the map's reference system; radius in metres. heading : degrees
-    clockwise from north, or "search"; None: `Tags.heading`, else any. gsd : average ground sampling distance of the
-    photos [m/px], None to measure it by vehicles. method : one of LOCATE_METHODS. embedding, embedding_map : networks
-    for `retrieval`. top : candidates that are listed. cache : keep the map's features. Raises UsageError.
+    clockwise from north, or "search" for any; None: `Tags.heading`, else any. gsd : average ground sampling distance of
+    the photos [m/px], None to measure it by vehicles. method : one of LOCATE_METHODS. embedding, embedding_map :
+    networks for `retrieval`. top : number of candidates listed. cache : keep the map's features. Raises UsageError.
     """
 
     prior: str | None = None
@@ -62,7 +62,7 @@ class LocateRequest:
         self.heading_rad(None)
 
     def heading_rad(self, told: float | None) -> float | None:
-        """The heading to search around [rad], None for all; `told` is what the photo says [deg]."""
+        """The heading to search around [rad], None for all; `told` is the heading in the photo's tags [deg]."""
         if self.heading is None:
             return None if told is None else float(np.radians(told))
         if self.heading == ANY_HEADING:
@@ -105,7 +105,7 @@ class LocateRequest:
 
 @dataclass(frozen=True, repr=False)
 class Located(Brief):
-    """outcomes : of each photo. satellite : the map. method : by which features. notes : what the user should know."""
+    """outcomes : one for each photo. satellite : the map. method : by which features. notes : for the user."""
 
     outcomes: list[LocateOutcome]
     satellite: Satellite
@@ -130,13 +130,13 @@ class Located(Brief):
         return document(self.outcomes, self.satellite, {"method": self.method, "notes": list(self.notes)})
 
     def write(self, folder: Path) -> None:
-        """All files into an empty folder; see `locate.files`."""
+        """Write all files into an empty folder; see `locate.files`."""
         write(self.outcomes, self.to_dict(), self.satellite, folder, self.top)
 
 
 def features_for(method: str) -> Features:
-    """The features by which `method` verifies, and searches if it is not retrieval. Raises UsageError where they are
-    not installed."""
+    """The features by which `method` verifies candidates, and searches if it is not retrieval. Raises UsageError if
+    their packages are not installed."""
     if method == "dense":
         from ..locate.dense import DenseFeatures
 
@@ -145,7 +145,7 @@ def features_for(method: str) -> Features:
 
 
 def finder_for(request: LocateRequest) -> tuple[str, PlaceFinder | None, tuple[str, ...]]:
-    """The method that `request` means, its finder where it is not correlation, and notes. Raises InputError."""
+    """The method that `request` selects, its place finder (None for correlation), and notes. Raises InputError."""
     if request.embedding is None:
         return "gradient" if request.method == "auto" else request.method, None, ()
     from ..locate.retrieval import Retrieval
@@ -159,8 +159,8 @@ def locate(
 ) -> Located:
     """Find the photos at `paths` on the map `satellite`.
 
-    Photos that are not located say why; raises UsageError for a request that makes no sense, InputError for a map that
-    is damaged or a single photo that cannot be read.
+    The outcome of a photo that is not located says why. Raises UsageError for a request that makes no sense, InputError
+    for a damaged map or a single photo that cannot be read.
     """
     prior = request.prior_on(satellite)
     method, finder, notes = finder_for(request)
@@ -187,7 +187,7 @@ def searched(
     prior: tuple[float, float, float] | None,
     finder: PlaceFinder | None = None,
 ) -> LocateOutcome:
-    """One photo. A picture that is too small on the map is its own outcome, not the end of the others."""
+    """The outcome for one photo; also for one that is too small on the map, so that the others go on."""
     photo = claimed.photo
     begun = time.monotonic()
     known = Known(claimed.factors, request.heading_rad(photo.tags.heading), prior)

@@ -1,7 +1,7 @@
 """Many inputs in one command: each is processed independently, and the failure of one does not affect the others.
 
-An input becomes a job of plain values, and so does its outcome: jobs are sent to processes of this machine or to a Dask
-cluster, and come back as rows of one table.
+An input becomes a job, a dict of plain values. Jobs are sent to processes on this machine or to a Dask cluster, and
+each comes back as a row of one table.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ def run_many(
     said: Callable[[Row], None] = lambda row: None,
     places: Sequence[Path] | None = None,
 ) -> list[Row]:
-    """`action` (estimate, fix or check) for each of `inputs`; a row of COLUMNS for each, in their order.
+    """Do `action` (estimate, fix or check) for each of `inputs`; return a row of COLUMNS for each, in their order.
 
-    out : folder for what `fix` writes, made if need be; a copy that is there, made from the same input with the same
-    options, is left and counts as made, unless `request` says to overwrite. jobs : how many inputs are worked on at
+    out : folder for what `fix` writes, made if need be; an existing copy, made from the same input with the same
+    options, is left and counts as made, unless `request` says to overwrite. jobs : how many inputs are processed at
     once, each in a process of its own with its own memory budget; the cores are shared among them. With a Dask
     scheduler in `request` each input is a task there instead, and every machine must see the files under the same
     paths.
-    said : told each row as soon as it is there. places : where the copies go, if that is known: `outputs_of`.
-    Raises UsageError for what cannot be meant for many inputs.
+    said : called with each row as soon as it is done. places : where the copies go, if known already (`outputs_of`).
+    Raises UsageError for options that make no sense for many inputs.
     """
     request.check_for_many()
     todo = jobs_of(action, inputs, request, out, jobs, places)
@@ -80,7 +80,7 @@ def run_many(
     finally:
         if made and out is not None:
             with suppress(OSError):
-                out.rmdir()  # it is empty if nothing was written
+                out.rmdir()  # succeeds only if nothing was written
     return rows
 
 
@@ -92,7 +92,7 @@ def jobs_of(
     jobs: int = 1,
     places: Sequence[Path] | None = None,
 ) -> list[Job]:
-    """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
+    """A job for each of `inputs`; the arguments are those of `run_many`. All paths but the inputs' are absolute."""
     if out is not None and places is None:
         places = outputs_of(inputs, out)
     outs = [None] * len(inputs) if places is None else [str(absolute(place)) for place in places]
@@ -108,12 +108,12 @@ def jobs_of(
 
 
 def worst(rows: Sequence[Row]) -> int:
-    """The exit code of the worst: a bug, then the highest of the others."""
+    """The exit code of the worst row: that of a bug, else the highest."""
     return max((row["exit_code"] for row in rows), key=lambda code: (code == BUG, code), default=0)
 
 
 def one(job: Job) -> Row:
-    """Do one job, and say what became of it; raises nothing but what stops the process."""
+    """Do one job and return its row; raises only what stops the process."""
     row: Row = {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": 0}
     path = absolute(job["input"])
     try:
@@ -176,7 +176,7 @@ def _fill(row: Row, result: Result) -> None:
 
 
 def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None:
-    """As `_fill`, for what an earlier run measured."""
+    """As `_fill`, from the report of an earlier run."""
     place, claim = location_of(source), report["claim"]
     row |= {name: report[name] for name in ("scale", "unit", "verdict", "vehicles_used", "fleet", "seconds")}
     row |= {
@@ -190,7 +190,7 @@ def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None
 
 
 def check_folder(out: Path) -> None:
-    """Raise UsageError where `out` is no folder and none can be made there."""
+    """Raise UsageError if `out` is no folder and cannot be made one."""
     if out.is_file():
         raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
     if not out.absolute().parent.is_dir():
@@ -219,7 +219,7 @@ def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
             for future in as_completed(futures):
                 yield futures[future], future.result()
         finally:
-            with stopping.held():  # another signal must not leave one of them alone at its work
+            with stopping.held():  # a second signal must not leave any of them running
                 for child in children:
                     child.end()
 
@@ -239,7 +239,7 @@ class _Child:
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C is for us, who pass it on
+                start_new_session=True,  # Ctrl-C reaches only the parent, which passes it on
             )
         assert self._process.stdin is not None and self._process.stdout is not None  # pipes were asked for
         level = logging.getLogger("orthoscale").level
@@ -250,7 +250,7 @@ class _Child:
             return _died(job, f"ended with {self._process.wait()}")
 
     def end(self) -> None:
-        """Stop it; what it was writing it cleans away."""
+        """Stop the process; it removes what it was writing."""
         self._over = True
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
@@ -266,9 +266,9 @@ def _died(job: Job, how: str) -> Row:
 
 
 def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
-    """The jobs `todo` on the Dask cluster at `address`: number and row of each, as soon as it is done.
+    """Do the jobs `todo` on the Dask cluster at `address`; yields the number and row of each as soon as it is done.
 
-    Raises UsageError where nobody answers.
+    Raises UsageError if no scheduler answers.
     """
     from distributed import as_completed as as_done
 
@@ -278,7 +278,7 @@ def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
         try:
             for future in as_done(futures, loop=client.loop):
                 k = futures[future]
-                # A job of a worker that is lost goes to another one; the cluster gives up only when it kills them all.
+                # The job of a lost worker goes to another; the cluster gives a job up only if it kills every worker.
                 lost = future.exception()
                 row = (
                     future.result() if lost is None else _died(todo[k], f"was lost with the cluster's workers ({lost})")
@@ -297,7 +297,7 @@ def _one_within(budget: int, job: Job) -> Row:
 def serve() -> None:
     """Do the jobs that come on standard input, until it ends; rows go to standard output."""
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is nobody's answer
+    os.dup2(2, 1)  # what libraries print must not mix with the answers
     talk = logging.StreamHandler()
     talk.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     logging.captureWarnings(True)

@@ -1,4 +1,4 @@
-"""What a command would do (`--dry-run`): everything is opened and checked, nothing is measured."""
+"""Says what a command would do (`--dry-run`): everything is opened and checked, nothing is measured."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ def rehearsal(
     needs_claim: bool = False,
     alone: bool = True,
 ) -> list[tuple[str, str]]:
-    """What would be done with the input at `path`, and what by `fix` be written at `out`: labels and texts.
+    """What would be done with the input at `path`, and what `fix` would write at `out`: labels and texts.
 
-    save_detections : the file that would keep the boxes, and overwrite : whether it may be replaced; `fix` has that in
-    its request. needs_claim : whether it is for `check`, which compares what the input claims. alone : as of
-    `measured`.
+    save_detections : the file that would keep the boxes; overwrite : whether it may be replaced (for `fix`, the request
+    says so). needs_claim : whether it is for `check`, which compares the input's claim. alone : as in `measured`.
     Raises what the command raises before it measures.
     """
     asked = opened(path, request)
@@ -43,7 +42,7 @@ def rehearsal(
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
         rows.append(("detector", detector_of(source, request).name))
-    measurer_of(request)  # it may be no network
+    measurer_of(request)  # raises if its file is no network
     rows += [("also", evidence.says) for evidence in asked.given]
     claim = source.claimed
     if claim is not None and claim.gsd_m is not None:

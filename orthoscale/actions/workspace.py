@@ -1,4 +1,4 @@
-"""A workspace in which the mapper left several models: each has its own scale."""
+"""Workspaces in which the mapper left several models: each has its own scale."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .fix import written
 if TYPE_CHECKING:
     from ..core.progress import Progress
 
-# What may befall one model and leave the others what they are.
+# Errors of one model that do not affect the others.
 OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError, MetricAlready)
 
 
 @dataclass(frozen=True)
 class ModelOutcome:
-    """What became of one model: its result, or why it has none; both where something beside it is missing."""
+    """The outcome for one model: its result, or why it has none; both if a file beside its copy is missing."""
 
     model: Path
     result: Result | None
@@ -51,7 +51,8 @@ class ModelOutcome:
 
 
 def models_in(path: Path) -> list[Path]:
-    """The models of the workspace `path`, largest names last; empty where there are not several (or it is a file)."""
+    """The models of the workspace `path`, in the order of their names; empty if there are not several, or for a
+    file."""
     if not path.is_dir() or find_exchange(path) is not None:
         return []
     from ..sources.colmap_check import model_folders
@@ -74,10 +75,10 @@ def fix_all(
 ) -> list[ModelOutcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
-    A model that has too little evidence, is damaged, or in metres already is left out and does not stop the others.
-    workspace : what they were found in, an input as they are.
-    Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
-    something beside a model could not be made.
+    A model that has too little or contradictory evidence, is damaged, or is in metres already is left out and does not
+    stop the others. workspace : the folder they were found in, which is protected like the models.
+    Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if a file
+    beside a model could not be made.
     """
     with Outputs(request.overwrite, (workspace, models, request.inputs)) as outputs:
         folder = outputs.folder(out)

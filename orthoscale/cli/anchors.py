@@ -1,4 +1,4 @@
-"""`orthoscale anchors`: the objects of standard size in an orthophoto or a model, listed and drawn."""
+"""`orthoscale anchors`: lists and draws the objects of standard size in an orthophoto or a model."""
 
 from __future__ import annotations
 

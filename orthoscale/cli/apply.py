@@ -1,4 +1,4 @@
-"""`orthoscale apply`: other files of a scaled model, brought to metres by the model's similarity transform."""
+"""`orthoscale apply`: brings other files of a scaled model to metres by the model's similarity transform."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`orthoscale calibrate`: a detector's ruler, from an orthophoto of known scale."""
+"""`orthoscale calibrate`: measures a detector's ruler on an orthophoto of known scale."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .options import (
     say,
 )
 
-# The scale is known, and the boxes are looked for at three zooms: what says otherwise is not asked for.
+# Options that contradict a known scale, or the detection at three resampling factors; `fleet` has its own option.
 NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 
 

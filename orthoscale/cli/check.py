@@ -110,7 +110,7 @@ def check(
         click.echo(json_in_utf8(outcome.to_dict()))
     else:
         _show(outcome)
-    if outcome.disagrees:  # which was said
+    if outcome.disagrees:  # the output above says so
         sys.exit(EvidenceDisagrees.exit_code)
     with boxes.telling():
         outcome.require_agreement()
@@ -126,14 +126,14 @@ def _show(outcome: Checked) -> None:
     for comparison in outcome.comparisons:
         say(f"claim      {comparison.stated()}")
         say(f"           {comparison.sentence()}")
-        # Of a reconstruction without a claim the line above says why a metre is compared.
+        # For a reconstruction without a claim, the line above says why it is compared with a metre.
         if comparison.unit_known and not comparison.believed and result.source.plan is not None:
             say("           the claim itself is not tied to the ground")
     for remark in result.remarks:
         say(f"{remark.label:10s} {remark.text}")
 
 
-# What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.
+# Options that apply to only one of the two inputs: to the orthophoto's pixels, or to the model's frames.
 OF_ORTHOPHOTO = ("zoom", "gsd_hint", "fast", "target", "known_distance", "ground_control")
 OF_MODEL = ("images", "ground_cloud", "mode", "projection", "gps")
 

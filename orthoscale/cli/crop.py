@@ -1,4 +1,4 @@
-"""`orthoscale crop`: satellite crops at the scale of a photo."""
+"""`orthoscale crop`: cuts satellite crops at the scale of a photo."""
 
 from __future__ import annotations
 

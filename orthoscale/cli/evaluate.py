@@ -1,4 +1,4 @@
-"""`orthoscale evaluate`: the method against known altitudes."""
+"""`orthoscale evaluate`: compares the method with known altitudes."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def evaluate(
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
         notes += found.notes
-        if saved is not None:  # worth a look above all where they are too few
+        if saved is not None:  # saved at once, as they are most worth inspecting if they are too few
             boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
         if satellite is None:
@@ -150,7 +150,7 @@ def evaluate(
 
 
 def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:
-    """Raise UsageError for options that do nothing."""
+    """Raise UsageError for options that would have no effect with, or without, --locate."""
     if locate and satellite is None:
         raise UsageError("--locate needs a map", "Give it: --satellite MAP.tif.")
     if locate and of_altitudes:

@@ -1,4 +1,4 @@
-"""`orthoscale explain`: a report's uncertainty in plain words."""
+"""`orthoscale explain`: explains a report's uncertainty in plain words."""
 
 from __future__ import annotations
 

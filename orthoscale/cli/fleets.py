@@ -1,4 +1,4 @@
-"""`orthoscale fleets`: the vehicle sizes of each country, and those of a register."""
+"""`orthoscale fleets`: lists the fleets, and makes one from a register of vehicles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Examples:
   orthoscale fleets --registrations district.csv --out district.json
   orthoscale fix ortho.tif --fleet district.json --out scaled.tif
 """
-MOST_UNKNOWN = 10  # models of unknown size that are listed
+MOST_UNKNOWN = 10  # most models of unknown size that are listed
 
 
 @command(epilog=EXAMPLES)
@@ -123,7 +123,7 @@ def _in_short(fleet: Fleet) -> str:
 
 
 def _in_full(fleet: Fleet) -> str:
-    """A table of the classes: means with the spread between vehicles, and how well the mean length is known."""
+    """A table of the classes: means with the spread between vehicles, and the uncertainty of the mean length."""
     lines = [
         f"{fleet.code}: {fleet.name}" + (f", {fleet.year}" if fleet.year else ""),
         f"  {'class':22s} {'share':>6s}   {'length':>11s}  {'width':>11s}  {'height':>11s} m   length known to",

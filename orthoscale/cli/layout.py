@@ -1,4 +1,4 @@
-"""`orthoscale layout`: standard facilities on an orthophoto of known scale."""
+"""`orthoscale layout`: places standard facilities on an orthophoto of known scale."""
 
 from __future__ import annotations
 

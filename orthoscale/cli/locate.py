@@ -1,4 +1,4 @@
-"""`orthoscale locate`: where on a map photos were taken."""
+"""`orthoscale locate`: finds where on a map photos were taken."""
 
 from __future__ import annotations
 

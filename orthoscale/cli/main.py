@@ -18,7 +18,7 @@ from ..system import quiet, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
 
-COMMANDS = {  # name: module of this package; the function in it has the command's name
+COMMANDS = {  # command: module of this package that has the function of that name
     "estimate": "scale",
     "fix": "scale",
     "explain": "explain",
@@ -35,18 +35,18 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "calibrate": "calibrate",
 }
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # only writing ends so
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors that only writing can raise
 
 
 class Commands(click.Group):
     """Commands by name, in the order in which a newcomer meets them."""
 
     def list_commands(self, context: click.Context) -> list[str]:
-        """Names in the order of COMMANDS, which is that of the help; nothing is imported."""
+        """The names in the order of COMMANDS, as in the help; nothing is imported."""
         return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        """The command `name`, whose module is imported only now; None where there is none."""
+        """The command `name`, whose module is imported only now; None if there is none."""
         if name not in COMMANDS:
             return None
         return getattr(import_module(f".{COMMANDS[name]}", __package__), name)
@@ -66,10 +66,10 @@ def cli(verbose: int, quiet: bool) -> None:
 
 
 def main() -> None:
-    """Entry point: errors become one message and an exit code; `--debug` shows the traceback, and what libraries print,
-    as well."""
+    """Entry point: errors become one message and an exit code; `--debug` also shows the traceback and what libraries
+    print."""
     debug = "--debug" in sys.argv
-    # What GDAL and NumPy warn of is for developers; a user is told in notes and errors.
+    # Warnings of GDAL and NumPy are for developers; users get notes and errors.
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     try:
@@ -90,7 +90,7 @@ def main() -> None:
         sys.exit(stopping.exit_code())
     except BrokenPipeError:
         sys.exit(141)
-    except OSError as error:  # those of outputs are OutputErrors by now
+    except OSError as error:  # those of outputs have become OutputErrors already
         if error.errno in NO_ROOM:
             place = "standard output, or a temporary file," if error.filename is None else str(error.filename)
             message = shown(f"{place} cannot be written ({error.strerror})", LONGEST_MESSAGE)
@@ -100,7 +100,7 @@ def main() -> None:
         message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST_MESSAGE)
         _complain(message, "Check the file and its permissions.", debug)
         sys.exit(InputError.exit_code)
-    except Exception as error:  # a bug of ours: still no traceback in a user's face
+    except Exception as error:  # a bug of ours; even so, users see no traceback
         _complain(shown(error, LONGEST_MESSAGE), "", debug)
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)

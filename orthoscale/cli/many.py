@@ -29,7 +29,7 @@ inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-
 
 @dataclass(frozen=True)
 class Many:
-    """What was asked of several inputs together: what names them, where summaries go, how many at once."""
+    """The options for several inputs: what names them, paths of the summaries, and how many to process at once."""
 
     named: Named
     summaries: tuple[Path, ...]
@@ -37,8 +37,8 @@ class Many:
 
 
 def inputs(function: Callable) -> Callable:
-    """The argument and the options of a command that takes several inputs. The command gets `path` where they are one
-    and no summary is asked for, and `many` otherwise; the other one is None."""
+    """Adds the argument and the options of a command that takes several inputs. The command gets `path` for one input
+    without a summary, and `many` otherwise; the other one is None."""
 
     @inputs_argument
     @option(
@@ -74,10 +74,10 @@ def rehearse(
     needs_claim: bool = False,
     as_json: bool = False,
 ) -> NoReturn:
-    """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst.
+    """Print what would be done with each of `paths`, whose copies would go to `outs`; exit with the worst exit code.
 
-    shown : changes what is said, as JSON if `as_json`. leave : whether the copy of an input that is there already would
-    be left. save_detections, overwrite, needs_claim : see `rehearsal`.
+    shown : applied to each text before it is printed, as JSON if `as_json`. leave : whether an input's existing copy
+    would be left as it is. save_detections, overwrite, needs_claim : see `rehearsal`.
     """
     from ..actions.rehearsal import rehearsal
 
@@ -103,7 +103,7 @@ def rehearse(
 
 
 def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = False) -> None:
-    """Print the rows of every `rehearsal`; as JSON, in which a label has all its texts."""
+    """Print the rows of every `rehearsal`; in JSON, each label has a list of its texts."""
     if not as_json:
         for rows in told:
             say("\n".join(f"{label:10s} {text}" for label, text in rows))
@@ -122,7 +122,7 @@ def rehearse_in_new_folder(
     places: Callable[[Path], list[Path]],
     as_json: bool = False,
 ) -> NoReturn:
-    """`rehearse`, of copies at `places` in the folder `out`, which would be made."""
+    """`rehearse` for copies at `places` in the folder `out`, which does not exist yet."""
     with tempfile.TemporaryDirectory() as stand_in:
         there = places(Path(stand_in))
         rehearse(paths, request, there, lambda text: text.replace(stand_in, str(out)), as_json=as_json)
@@ -137,9 +137,9 @@ def run(
     out: Path | None = None,
     dry_run: bool = False,
 ) -> NoReturn:
-    """Do `action` for all inputs, print a line for each, write the summaries and end with the exit code of the worst.
+    """Do `action` for all inputs, print a line for each, write the summaries and exit with the worst exit code.
 
-    Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
+    Raises UsageError, InputError before anything is done, if the request makes no sense for all of them.
     """
     from ..actions.finished import is_finished
     from ..actions.inputs import outputs_of
@@ -186,9 +186,9 @@ def run(
 def _loses_nothing(
     summaries: Sequence[Path], found: Sequence[Path], places: Sequence[Path], request: EstimateRequest
 ) -> bool:
-    """Whether the `summaries` of a former run can be replaced: each speaks of no other inputs than those `found`, and
-    every copy that is there is left as it is, so that its row is made again. Raises what `finished` raises for another
-    copy."""
+    """Whether the `summaries` of a former run can be replaced: each has no other inputs than `found`, and every
+    existing copy would be left as it is, so that its row is written again. Raises what `finished` raises for a
+    different copy."""
     from ..actions.finished import is_finished
     from ..report.summary import inputs_in
 
@@ -200,7 +200,7 @@ def _loses_nothing(
 
 
 def _tell(rows: Sequence[Row], former: set[str]) -> None:
-    """Say which copies were there already, of those at `former`, and what failed."""
+    """Print how many copies existed already (`former`), and what failed."""
     if left := sum(row["output"] in former for row in rows):
         say(f"{left} of {len(rows)} were there already, made from the same input with the same options: left", err=True)
     failed = [row for row in rows if row["exit_code"]]
@@ -214,7 +214,7 @@ def _tell(rows: Sequence[Row], former: set[str]) -> None:
 
 
 def line(row: Row) -> str:
-    """One row for a person: the scale and how well it is known, or that there is none."""
+    """A row as text: the scale with its uncertainty, or that there is none."""
     if row["scale"] is None:
         return f"{row['input']}: no scale (exit code {row['exit_code']})"
     from ..core.scale import decimals, interval_about

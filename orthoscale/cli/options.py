@@ -23,7 +23,7 @@ Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 
 
 class GroupedOption(click.Option):
-    """An option that knows under which heading of the help it stands, one of `GROUPS`."""
+    """An option with the heading under which the help lists it, one of `GROUPS`."""
 
     def __init__(self, *arguments: Any, group: str, **more: Any) -> None:
         assert group in GROUPS, group
@@ -51,14 +51,14 @@ option = partial(click.option, cls=GroupedOption)
 
 
 class AnyPath(click.Path):
-    """A path that is looked at by those who open it, so that each fault of it has its exit code; an empty one, as an
-    unset variable of a script leaves it, is refused: it would be the current folder."""
+    """A path that click does not check: the code that opens it does, so that each fault gets its own exit code. An
+    empty path, as from an unset variable of a script, is refused: it would mean the current folder."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path, readable=False)
 
     def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
-        """A Path of what was given; an empty text is a usage error."""
+        """`value` as a Path; an empty text is a usage error."""
         if not str(value):
             self.fail("an empty name is no path", param, context)
         return Path(value)
@@ -68,7 +68,7 @@ PATH = AnyPath()
 
 
 def say(text: str, err: bool = False) -> None:
-    """Print lines on a terminal that take names from files: nothing in them is a control character."""
+    """Print lines that may contain names from files, with control characters escaped."""
     click.echo("\n".join(shown(line, 20_000) for line in text.split("\n")), err=err)
 
 
@@ -78,7 +78,7 @@ overwrite_option = option(
 
 
 def refuse_idle_overwrite(overwrite: bool, *outputs: object) -> None:
-    """Raise UsageError for --overwrite where none of the `outputs` is asked for."""
+    """Raise UsageError for --overwrite if none of the `outputs` is asked for."""
     if overwrite and not any(outputs):
         raise UsageError("--overwrite does nothing here: nothing is written", "Remove it, or name a file to write.")
 
@@ -92,7 +92,7 @@ save_option = option(
 
 
 def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable], Callable]:
-    """The options of a command that makes a `request`: one for each of its fields, but for those to `leave`."""
+    """Adds the options of a command that makes a `request`: one for each of its fields, except those in `leave`."""
 
     def decorated(function: Callable) -> Callable:
         of = [each for each in fields(request) if each.name not in leave]
@@ -156,7 +156,7 @@ debug_option = option(  # `main` looks for it itself
 
 
 def set_verbosity(louder: int, quiet: bool) -> None:
-    """What the program tells of its work on standard error: warnings, with -v the steps, with -vv everything."""
+    """Set what is logged to standard error: warnings (errors if `quiet`), with -v the steps, with -vv everything."""
     level = logging.ERROR if quiet else {0: logging.WARNING, 1: logging.INFO}.get(louder, logging.DEBUG)
     talk = logging.StreamHandler()
     talk.setFormatter(logging.Formatter("%(levelname)s %(message)s"))

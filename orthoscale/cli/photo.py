@@ -1,4 +1,4 @@
-"""`orthoscale photo`: scale, altitude, GSD and footprint of single photos."""
+"""`orthoscale photo`: measures scale, altitude, GSD and footprint of single photos."""
 
 from __future__ import annotations
 
@@ -99,8 +99,8 @@ def photo(
 
 
 def _keeper(files: Outputs, saved: Path) -> Callable[[Detections, Sequence[Photo]], None]:
-    """What writes the boxes to `saved`, one of the outputs `files`, and delivers them at once: they are worth a look
-    above all where they are too few."""
+    """A function that writes the boxes to `saved`, one of the outputs `files`, and delivers them at once: they are most
+    worth inspecting if they are too few."""
     from ..photos.looking import save_boxes
 
     def keep(found: Detections, photos: Sequence[Photo]) -> None:

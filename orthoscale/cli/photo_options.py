@@ -38,8 +38,8 @@ LENS_FLAGS = {"focal_px": "--focal-px", "lens_file": "--lens", "pitch": "--pitch
 
 
 def lens_options(function: Callable) -> Callable:
-    """--focal-px, --lens, --pitch, --roll, in place of the photo's own tags; the command gets them as one mapping
-    `lens`, keywords of `photos.measure.open_photo`."""
+    """Adds --focal-px, --lens, --pitch and --roll, which replace the photo's own tags. The command gets them as one
+    mapping `lens` of keywords for `photos.measure.open_photo`."""
 
     @wraps(function)
     def gathered(**given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`orthoscale report`: a report's page, drawn again from its JSON."""
+"""`orthoscale report`: draws a report's page or picture again from its JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`orthoscale estimate` and `orthoscale fix`: the scale of an orthophoto or a model, printed or written."""
+"""`orthoscale estimate` and `orthoscale fix`: print the scale of an orthophoto or a model, or write a scaled copy."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def estimate(
         return
     _finish(result, as_json)
     with boxes.telling():
-        result.require_useful()  # said after the figures: a script must not take them
+        result.require_useful()  # after the figures are printed; the exit code keeps scripts from using them
 
 
 @command(
@@ -153,7 +153,7 @@ def fix(
                 done = writing.written(path, out, request, progress, save_detections)
         except Incomplete as error:
             done, missing = error.result, error
-    with suppress(Exception) if missing else nullcontext():  # what could not be written may not be printable either
+    with suppress(Exception) if missing else nullcontext():  # a result that could not be written may fail to print, too
         if models:
             _finish_all(done, as_json, out, request.report)
         else:
@@ -174,7 +174,7 @@ def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) 
 
 
 def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
-    """What a person will look for."""
+    """The paths that a user will look for."""
     from ..actions.fix import report_paths
 
     page = report_paths(out, result.source.posed is not None, report).get("html")

@@ -16,7 +16,7 @@ A_CALIBRATION = "the path of a calibration"
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write `calibration` as JSON, for `load_calibration` and `--calibration`. Raises UsageError for what is no path,
+    """Write `calibration` as JSON, for `load_calibration` and `--calibration`. Raises UsageError if `path` is no path,
     OSError."""
     path_of(path, A_CALIBRATION).write_text(
         json_in_utf8(calibration_values(calibration), indent=1) + "\n", encoding="utf-8"
@@ -36,7 +36,7 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read what `save_calibration` wrote. Raises InputError for any other file, UsageError for what is no path."""
+    """Read what `save_calibration` wrote. Raises InputError for any other file, UsageError if `path` is no path."""
     from .schemas.fleets import CalibrationEntry
 
     path = path_of(path, A_CALIBRATION)

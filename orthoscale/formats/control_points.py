@@ -1,4 +1,4 @@
-"""Ground control files: one point a line, or OpenDroneMap's list of marks in pictures (``gcp_list.txt``)."""
+"""Ground control files: one point per line, or OpenDroneMap's list of marks in pictures (``gcp_list.txt``)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONTROL_HINT = (
     "is not level), in double quotes where the name has spaces or backslashes. Lines from # on do not count. Or "
     "OpenDroneMap's gcp_list.txt."
 )
-EARTH = "EPSG:4978"  # metres from the Earth's centre, along axes of no map
+EARTH = "EPSG:4978"  # geocentric coordinates [m]
 UTM = re.compile(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
 QUOTED = re.compile(r'"[^"]*"')
 SYSTEM = re.compile(rf"\s*({UTM.pattern}|EPSG:\d+|.*\+proj=.*)\s*", re.IGNORECASE)
@@ -28,10 +28,10 @@ SYSTEM = re.compile(rf"\s*({UTM.pattern}|EPSG:\d+|.*\+proj=.*)\s*", re.IGNORECAS
 
 @dataclass(frozen=True)
 class ControlPoint:
-    """A point that is known in metres.
+    """A ground control point.
 
-    row : its (first) line in the file. metres : 2 or 3 coordinates, along axes of any direction. marks : what it is
-    called in the source, of which a picture's pixel is ``NAME@X,Y``; several, if several pictures were marked.
+    row : its (first) line in the file. metres : 2 or 3 coordinates, along axes of any direction. marks : the point in
+    the source, as in a POINT column (``NAME@X,Y`` for a picture's pixel); several if several pictures were marked.
     """
 
     row: int
@@ -41,23 +41,23 @@ class ControlPoint:
 
 @dataclass(frozen=True)
 class ControlFile:
-    """points : in the file's order. of_project : the marks are those of a project's pictures, by their files' names:
-    not all of them need be in a model."""
+    """points : in the file's order. of_project : the marks lie in a project's pictures, which are named by their files
+    and need not all be in a model."""
 
     points: tuple[ControlPoint, ...]
     of_project: bool = False
 
 
 def read_control_file(path: Path) -> ControlFile:
-    """The points of a ground control file; marks of one point in several pictures, lines of equal metres, are joined.
-    Raises InputError.
+    """The points of a ground control file. Lines with equal coordinates mark one point in several pictures and are
+    joined. Raises InputError.
 
     A first line that names a coordinate reference system makes it OpenDroneMap's: ``EPSG:32632``, ``WGS84 UTM 32N`` or
-    a PROJ string, then lines ``X Y Z COLUMN ROW PICTURE [NAME ...]``. Their metres are geocentric (`EARTH`), so that
-    distances are those in space, whatever the map's units and its scale at that place.
+    a PROJ string, then lines ``X Y Z COLUMN ROW PICTURE [NAME ...]``. Their coordinates are converted to geocentric
+    metres (`EARTH`), so that distances are spatial, whatever the map's units and its scale at that place.
 
-    Columns end at blanks or, if all lines have some, at semicolons; numbers may have decimal commas then, if none has a
-    point. Empty cells at the end of a line do not count.
+    Columns are separated by blanks or, if all lines have some, by semicolons; in the latter case numbers may have
+    decimal commas, if none has a point. Empty cells at the end of a line do not count.
     """
     lines = [
         (row, text)
@@ -71,7 +71,7 @@ def read_control_file(path: Path) -> ControlFile:
 
 @contextmanager
 def in_line(path: Path, row: int) -> Iterator[None]:
-    """What is wrong with the line `row` of a ground control file becomes an InputError that says so."""
+    """Turns a ValueError or OverflowError into an InputError that names the line `row` of a ground control file."""
     try:
         yield
     except (ValueError, OverflowError) as error:
@@ -81,8 +81,8 @@ def in_line(path: Path, row: int) -> Iterator[None]:
 def _columns(
     path: Path, lines: Sequence[tuple[int, str]], by_blanks: Callable[[str], list[str]], numbers: slice
 ) -> list[tuple[int, list[str]]]:
-    """The row of each of `lines` and its columns: between semicolons if each line has two outside of quotes, as three
-    columns have, else those of `by_blanks`. numbers : the columns of numbers; their decimal commas become points."""
+    """The row and the columns of each line: split at semicolons if each line has two or more outside of quotes (three
+    columns), else by `by_blanks`. numbers : the columns with numbers; their decimal commas become points."""
     semicolons = all(QUOTED.sub("", line).count(";") >= 2 for _, line in lines)
     rows = []
     for row, line in lines:
@@ -95,7 +95,7 @@ def _columns(
 
 
 def _of_points(path: Path, lines: Sequence[tuple[int, str]]) -> Iterator[ControlPoint]:
-    """Of lines ``POINT EAST NORTH [UP]``."""
+    """The points of lines ``POINT EAST NORTH [UP]``."""
     for row, columns in _columns(path, lines, shlex.split, slice(1, None)):
         with in_line(path, row):
             name, *words = columns
@@ -105,7 +105,7 @@ def _of_points(path: Path, lines: Sequence[tuple[int, str]]) -> Iterator[Control
 
 
 def _of_project(path: Path, head: tuple[int, str], lines: Sequence[tuple[int, str]]) -> Iterator[ControlPoint]:
-    """Of lines ``X Y Z COLUMN ROW PICTURE [NAME ...]`` in the coordinate reference system that `head` names."""
+    """The points of lines ``X Y Z COLUMN ROW PICTURE [NAME ...]``, in the coordinate reference system of `head`."""
     import pyproj
 
     row, name = head
@@ -129,7 +129,7 @@ def _of_project(path: Path, head: tuple[int, str], lines: Sequence[tuple[int, st
 
 
 def _joined(points: Iterable[ControlPoint]) -> tuple[ControlPoint, ...]:
-    """The points, of those that are marked in pictures one for each place in metres."""
+    """The points; those marked in pictures are joined where their coordinates are equal."""
     joined: dict[object, ControlPoint] = {}
     for point in points:
         key = point.metres if "@" in point.marks[0] else point

@@ -11,8 +11,8 @@ from .names import finite
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a header of `columns`, and a line per row, which has just these keys; a cell is empty for None and for what
-    is no finite number. Raises OSError."""
+    """Write a header of `columns`, and a line for each row, which has exactly these keys. Cells are empty for None and
+    for numbers that are not finite. Raises OSError."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         table = csv.DictWriter(file, columns)
         table.writeheader()

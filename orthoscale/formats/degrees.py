@@ -1,4 +1,4 @@
-"""Longitude and latitude on Earth: from the coordinates of maps, and beyond the 180th meridian."""
+"""Longitude and latitude: from map coordinates, also across the 180th meridian."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
     import pyproj
 
 WGS_84 = "EPSG:4326"  # longitude and latitude, as GPS and GeoJSON have them
-SAME_TURN = 1e-6  # of a turn: what rounding may change of places on one meridian
+SAME_TURN = 1e-6  # tolerance for rounding of coordinates on one meridian, as a share of a turn
 
 
 def to_degrees(crs: Any) -> pyproj.Transformer:
-    """From map coordinates in `crs`, x or east first, to longitude and latitude (WGS 84). Raises pyproj's errors where
-    there is none."""
+    """The transformer from map coordinates in `crs`, x or east first, to longitude and latitude (WGS 84). Raises
+    pyproj's errors if there is none."""
     import pyproj
 
     return pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(crs), WGS_84, always_xy=True)
 
 
 def turn_of(crs: Any) -> float:
-    """By how much x grows once around the Earth in map coordinates in `crs`: 360 in degrees, 40,075,017 m in Web
-    Mercator; 0 where coordinates do not go on beyond a meridian, as in UTM, or PROJ knows of no way to degrees."""
+    """The period of x in map coordinates in `crs`, once around the Earth: 360 in degrees, 40,075,017 m in Web Mercator;
+    0 if x is not periodic, as in UTM, or PROJ cannot transform it to degrees."""
     import pyproj
 
     try:
@@ -36,8 +36,8 @@ def turn_of(crs: Any) -> float:
 
 @lru_cache
 def _turn_of(crs: Any) -> float:
-    """Raises pyproj's errors, so that they are not remembered: PROJ may fail for a moment, where a process has no file
-    handle left for its database, say."""
+    """As `turn_of`, but raises pyproj's errors, which `lru_cache` does not remember: they may be temporary, as when the
+    process has no file handle left for PROJ's database."""
     import pyproj
 
     system = pyproj.CRS.from_user_input(crs)
@@ -50,27 +50,28 @@ def _turn_of(crs: Any) -> float:
     if not np.isfinite([*x, *y]).all():
         return 0.0
     turn = 4 * float(np.median(np.diff(x)))
-    # Meridians are straight, parallel and equally far apart where x tells the longitude alone.
+    # If x depends on longitude alone, meridians are straight, parallel and equally spaced.
     off = turned_to(x - x[0, 0] - np.arange(4) / 4 * turn, 0.0, turn) if turn else x
     return abs(turn) if max(np.abs(off).max(), np.ptp(y, axis=1).max()) < SAME_TURN * abs(turn) else 0.0
 
 
 def turned_to(longitudes: np.ndarray, about: float, turn: float = 360.0) -> np.ndarray:
-    """(K,) `longitudes` [deg] by whole turns, each within half a `turn` of that `about`; infinite ones stay."""
+    """(K,) `longitudes` [deg] shifted by whole turns to within half a `turn` of `about`; infinite ones stay."""
     turns = np.round((longitudes - about) / turn)
     return longitudes - turn * np.where(np.isfinite(turns), turns, 0.0)
 
 
 def near_on_map(places: np.ndarray, crs: Any, about: float) -> np.ndarray:
-    """(K, 2) map coordinates in `crs` of the same `places` (K, 2), x by whole turns around the Earth next to `about`:
-    pictures and maps may go on beyond the 180th meridian, where transformed coordinates jump."""
+    """(K, 2) map coordinates in `crs` of the same `places` (K, 2), with x shifted by whole turns around the Earth as
+    close as possible to `about`: pictures and maps may extend across the 180th meridian, where transformed coordinates
+    jump."""
     turn = turn_of(crs)
     return np.column_stack([turned_to(places[:, 0], about, turn), places[:, 1]]) if turn else places
 
 
 def about_meridian(places: np.ndarray, about: float = 0.0) -> np.ndarray:
-    """(K, 2) longitudes and latitudes [deg] of one shape that goes on beyond 180 degrees instead of around the Earth;
-    its middle lies within 180 degrees of the longitude `about`. For shapes of less than half of the Earth."""
+    """(K, 2) longitudes and latitudes [deg] of one shape, continuous beyond 180 degrees instead of jumping; its middle
+    lies within 180 degrees of the longitude `about`. For shapes narrower than half of the Earth."""
     east, north = np.asarray(places, float)[:, :2].T
     east = turned_to(east, east[0])  # the same for the first and last of a ring
     return np.column_stack([east - 360 * np.round((east.mean() - about) / 360), north])

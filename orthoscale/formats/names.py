@@ -1,5 +1,5 @@
-"""What files may hold: names need not be text, and in files that are UTF-8 their other bytes stand as escapes; of
-numbers only those that are finite are written."""
+"""Makes values safe to write: names of files need not be UTF-8, and their other bytes are written as escapes; numbers
+that are not finite are left out."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 ESCAPED = re.compile(r"\\u(dc[89a-f][0-9a-f])")  # what `in_utf8` makes of a byte that is not UTF-8 (PEP 383)
-MOST_NAMED = 5  # files or folders, in a sentence
+MOST_NAMED = 5  # most files or folders that a sentence lists
 
 
 def in_utf8(text: str) -> str:
-    """`text` with escapes for what UTF-8 cannot say: the names of files need not be text."""
+    """`text` with escapes for characters that UTF-8 cannot encode: names of files may be any bytes."""
     return text.encode(errors="backslashreplace").decode()
 
 
 def out_of_utf8(text: str) -> str:
-    """The name that `in_utf8` made `text` of; nothing tells one that has such escapes itself."""
+    """The name from which `in_utf8` made `text`; a name that contained such escapes itself cannot be told apart."""
     return ESCAPED.sub(lambda match: chr(int(match[1], 16)), text)
 
 
 def each_text(values: Any, change: Callable[[str], str]) -> Any:
-    """Plain `values` with `change` of every text and every key in them."""
+    """Plain `values` with `change` applied to every text and every key in them."""
     if isinstance(values, str):
         return change(values)
     if isinstance(values, Mapping):
@@ -35,8 +35,8 @@ def each_text(values: Any, change: Callable[[str], str]) -> Any:
 
 
 def json_in_utf8(values: Any, indent: int | None = None) -> str:
-    """JSON of plain `values` that strict readers take: texts as `in_utf8` has them, where json itself writes halves of
-    surrogate pairs, and null for what is no finite number, where it writes NaN."""
+    """JSON of plain `values` that strict readers accept: texts are escaped by `in_utf8`, where json itself would write
+    lone surrogates, and numbers that are not finite become null, where it would write NaN."""
     try:
         text = json.dumps(values, indent=indent, allow_nan=False)
     except ValueError:
@@ -45,7 +45,7 @@ def json_in_utf8(values: Any, indent: int | None = None) -> str:
 
 
 def finite(values: Any) -> Any:
-    """Plain `values` with None for the numbers that are not finite: files say so by leaving them out."""
+    """Plain `values` with None for numbers that are not finite: in files these are missing values."""
     if isinstance(values, float):
         return values if math.isfinite(values) else None
     if isinstance(values, Mapping):

@@ -1,4 +1,4 @@
-"""Files of photogrammetry that are no picture and no model that is read here: what to do with each instead."""
+"""Files of other photogrammetry programs that cannot be opened here: what to do with each instead."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ BY_ENDING = {
     **dict.fromkeys((".e57", ".fbx", ".ksplat", ".spz"), PACKED),
 }
 BY_NAME = {"sfm_data.bin": OPENMVG, "sfm_data.json": OPENMVG, "sim3.json": SIM3, "cameras.json": CAMERAS}
-BY_KEY = {"sfm_data_version": OPENMVG, "featuresFolders": MESHROOM}  # of JSON
-BY_ROOT = {b"<document": METASHAPE, b"<BlocksExchange": METASHAPE}  # of XML
-XML_HEAD = 4096  # [bytes] of a file in which the root of its XML stands
+BY_KEY = {"sfm_data_version": OPENMVG, "featuresFolders": MESHROOM}  # by a key of the JSON
+BY_ROOT = {b"<document": METASHAPE, b"<BlocksExchange": METASHAPE}  # by the root element of the XML
+XML_HEAD = 4096  # [bytes] at the start of a file in which its root element is looked for
 PROJECTS = (".psx", ".psz", ".rcproj", ".rsproj", ".p4d", ".p4dx", ".mg")
 
 
 def what_instead(path: Path) -> str:
-    """What to do with the file `path` instead of opening it as a picture; empty where that is not known."""
+    """What to do with the file `path` instead of opening it as a picture; '' if unknown."""
     if hint := BY_NAME.get(path.name, BY_ENDING.get(path.suffix.lower(), "")):
         return hint.format(name=path.name)
     if path.suffix.lower() == ".xml":
@@ -64,7 +64,8 @@ def what_instead(path: Path) -> str:
 
 
 def project_in(folder: Path) -> str:
-    """The same of another program's project in `folder`, or whose files `folder` holds (Metashape's NAME.files)."""
+    """The same for another program's project that lies in `folder`, or whose files these are (Metashape's
+    NAME.files)."""
     if folder.suffix == ".files":
         return METASHAPE
     names = sorted(place for place in folder.iterdir() if place.name in BY_NAME or place.suffix.lower() in PROJECTS)

@@ -1,5 +1,5 @@
-"""Pictures by their endings, and writing them with Pillow: if pycolmap was imported first, OpenCV may be bound to the
-wrong libraries."""
+"""The endings of picture files, and writing pictures. Pillow writes them: if pycolmap was imported first, OpenCV may be
+bound to the wrong libraries."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write_jpeg(path: Path, image: np.ndarray, quality: int) -> None:
 
 
 def jpeg(image: np.ndarray, quality: int) -> bytes:
-    """`image`, uint8 (H, W, 3) RGB, as a JPEG file has it; quality 1 to 95."""
+    """The bytes of a JPEG file of `image`, uint8 (H, W, 3) RGB; quality 1 to 95."""
     return _encoded(image, "JPEG", quality=quality)
 
 

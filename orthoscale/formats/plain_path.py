@@ -1,5 +1,5 @@
-"""Names of vector files for pyogrio, which takes every name for an address on the web: of ``a;b`` it leaves ``a``, and
-what stands before an exclamation mark is an archive to it."""
+"""Makes paths of vector files safe for pyogrio, which parses every path as a URL: it cuts ``a;b`` to ``a``, and takes
+the part before an exclamation mark for an archive."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 
 from ..system.scratch import Scratch
 
-OF_ADDRESSES = re.compile(r"^//|[;!?\t\r\n]|[\ud800-\udfff]")  # the last are bytes that are no UTF-8
+OF_ADDRESSES = re.compile(r"^//|[;!?\t\r\n]|[\ud800-\udfff]")  # the last are bytes that are not UTF-8
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[Path]:
-    """`path`, or a link to it whose name pyogrio takes as it is, with links to what is called alike: the other files of
-    a shapefile. Raises OSError."""
+    """Yields `path`, or a link to it whose name pyogrio does not change, beside links to files of the same stem: the
+    other parts of a shapefile. Raises OSError."""
     if not OF_ADDRESSES.search(str(path.absolute())):
         yield path
         return
@@ -30,8 +30,8 @@ def readable(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def writable(path: Path) -> Iterator[Path]:
-    """`path`, or a place whose name pyogrio takes as it is, from which it is moved to `path` in the end. What is at
-    `path` already is there as well. Raises OSError."""
+    """Yields `path`, or a temporary path whose name pyogrio does not change, whose file is copied to `path` at the end.
+    It starts as a copy of what is at `path` already. Raises OSError."""
     if not OF_ADDRESSES.search(str(path.absolute())):
         yield path
         return

@@ -1,4 +1,4 @@
-"""Parsing points and numbers that users type, or their table programs."""
+"""Parses points and numbers that users type, or that their spreadsheets write."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAYBE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # 1,234 is 1234 to som
 
 
 def coordinates(text: str, count: int, what: str) -> np.ndarray:
-    """(count,) the numbers in `text`, with commas between. Raises ValueError, which says that `text` is not `what`."""
+    """(count,) the comma-separated numbers in `text`. Raises ValueError, which says that `text` is not `what`."""
     found = np.array([number(part) for part in text.split(",")])
     if len(found) != count:
         raise ValueError(f"{text!r} is not {what}")
@@ -23,7 +23,7 @@ def coordinates(text: str, count: int, what: str) -> np.ndarray:
 
 
 def pixel(text: str, width: int, height: int, what: str) -> np.ndarray:
-    """(2,) column and row in a picture of that size. Raises ValueError, also for what lies outside of it."""
+    """(2,) column and row in a picture of that size. Raises ValueError, also for a pixel outside of it."""
     found = coordinates(text, 2, what)
     if not ((found >= 0) & (found <= (width, height))).all():
         raise ValueError(f"{text} lies outside of the picture, which is {width} x {height} px")
@@ -31,7 +31,7 @@ def pixel(text: str, width: int, height: int, what: str) -> np.ndarray:
 
 
 def number(text: str) -> float:
-    """Raises ValueError for what is no finite number."""
+    """The finite number in `text`. Raises ValueError for anything else."""
     try:
         value = float(text)
     except ValueError:
@@ -46,8 +46,8 @@ def number(text: str) -> float:
 
 
 def decimal_commas(words: Iterable[str], sure: bool = False) -> bool:
-    """Whether the numbers among `words` have decimal commas, as programs write them in much of Europe: some have a
-    comma that does not set thousands apart, or any one if that is `sure`, and none has a point."""
+    """Whether the numbers among `words` have decimal commas, as programs write them in much of Europe: none has a
+    point, and some have a comma that cannot separate thousands. sure : commas never do, so that any comma counts."""
     found = False
     for word in words:
         if WITH_POINT.fullmatch(word):

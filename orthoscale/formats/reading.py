@@ -27,10 +27,10 @@ LFS_POINTER = b"version https://git-lfs"  # how it begins
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 NOT_FETCHED = "Only files on this computer are read: download or unpack it, and give the file."
-# How addresses begin, GDAL's names of what is within a file, and its folders that are on no disk.
+# The beginnings of URLs, of GDAL's names of datasets within a file, and of its virtual file systems.
 _NO_FILE = re.compile(r"[A-Za-z][\w+.-]+:|/vsi\w+/")
 
-_FOR_EXCEL = re.compile(r"\A\s*sep=.?(?=[\r\n])", re.IGNORECASE)  # a first line that tells Excel where columns end
+_FOR_EXCEL = re.compile(r"\A\s*sep=.?(?=[\r\n])", re.IGNORECASE)  # a first line that tells Excel the separator
 DECIMAL_COMMAS = (
     "Write numbers with a point (12.5). Decimal commas (12,5) are read where ; or tabs are between the columns, if no "
     "number in the table has a point."
@@ -39,13 +39,13 @@ EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it a
 
 T = TypeVar("T")
 
-# How texts begin that Python and numpy give to errors in values.
+# The beginnings of Python's and numpy's own messages for errors in values.
 PROGRAMMERS = (
     "could not ", "cannot ", "invalid literal", "too many values", "not enough values", "setting an array", "all the ",
     "operands", "math domain", "embedded null", "matmul", "Exceeds the limit",
 )  # fmt: skip
 
-# What msgspec calls things, and what the people call them who have to mend the file.
+# msgspec's names of types, and plain ones for the people who have to mend the file.
 WORDS = {
     "float": "a number",
     "int": "a whole number",
@@ -58,11 +58,11 @@ WORDS = {
 
 
 def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
-    """What is in the regular file `path`, of `most` bytes or fewer. Raises InputError."""
+    """The content of the regular file `path`, which has `most` bytes or fewer. Raises InputError."""
     check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
     try:
         large, content = path.stat().st_size > most, b""
-        if not large:  # else none of it is read
+        if not large:  # a file that is too large is not read at all
             with path.open("rb") as file:
                 content = file.read(most + 1)
     except OSError as error:
@@ -73,12 +73,12 @@ def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
 
 
 def absent(path: Path, hint: str) -> InputError:
-    """The error of an input that is not there; its hint is another one where the name is of something elsewhere."""
+    """The error for an input that does not exist; with another hint if `path` is a URL or lies within another file."""
     return InputError(f"{path} does not exist", NOT_FETCHED if _NO_FILE.match(str(path)) else hint)
 
 
 def check_regular(path: Path, hint: str = "") -> None:
-    """Raise InputError for what is no regular file: a folder, a pipe, an endless device, nothing."""
+    """Raise InputError if `path` is no regular file: a folder, a pipe, a device, or nothing."""
     try:
         mode = os.stat(path).st_mode
     except OSError as error:
@@ -91,7 +91,7 @@ def check_regular(path: Path, hint: str = "") -> None:
 
 
 def refuse_pointer(path: Path) -> None:
-    """Raise InputError where Git LFS left a few lines instead of the file `path`; other files are for their readers."""
+    """Raise InputError if `path` is only a pointer of Git LFS; anything else is left to the readers of its format."""
     if not path.is_file():
         return  # opening a pipe would wait for its other end
     try:
@@ -104,8 +104,8 @@ def refuse_pointer(path: Path) -> None:
 
 
 def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Path]:
-    """The files in `folder` and the folders below it, links to folders aside, in order; those whose suffix (in lower
-    case) is one of `suffixes`. Of a folder of any size no more is kept than these."""
+    """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
+    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder."""
     found = []
     for place, _, names in os.walk(folder):
         for name in names:
@@ -116,7 +116,7 @@ def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Pa
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file or a folder at `path`, which a file names; False too for names that none can have."""
+    """Whether there is a file or a folder at `path`, a name read from a file; False also for impossible names."""
     try:
         return path.exists()
     except (OSError, ValueError):  # too long, or with a zero byte
@@ -128,15 +128,15 @@ def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
     content = read_bytes(path, hint, most)
     try:
         return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:  # spreadsheets write the letters of their country, or UTF-16
+    except UnicodeDecodeError as error:  # spreadsheets may write a national encoding, or UTF-16
         at = f" (byte {error.start}); if it is one in another encoding, save it as UTF-8"
         other = " but UTF-16: save it as UTF-8" if content[:2] in UTF_16 else at
         raise InputError(f"{path}: not UTF-8 text{other}", hint) from error
 
 
 class Table(csv.DictReader):
-    """The lines of a CSV file by the names of its columns, as `read_table` makes it. Going through it raises csv.Error,
-    and InputError for a line with more cells than there are columns: 12,5 is two where columns end at commas.
+    """The lines of a CSV file by column name, made by `read_table`. Iteration raises csv.Error, and InputError for a
+    line with more cells than there are columns: with commas as separators, 12,5 is two cells.
 
     commas : whether its numbers have decimal commas.
     """
@@ -152,7 +152,7 @@ class Table(csv.DictReader):
         return row
 
     def number(self, row: Mapping[str | Any, str | Any], name: str, hint: str) -> float | None:
-        """The finite number in the column `name` of `row`, None where nothing is. Raises InputError."""
+        """The finite number in the column `name` of `row`, None for an empty cell. Raises InputError."""
         text = (row.get(name) or "").strip()
         if not text:
             return None
@@ -165,9 +165,9 @@ class Table(csv.DictReader):
 
 
 def read_table(path: Path, hint: str = "") -> Table:
-    """The lines of a CSV file, by the names of its columns in small letters, which stand in its first line that is not
-    blank. Columns end at commas, semicolons or tabs, whichever that line has most of; where they do not end at commas,
-    numbers may have decimal commas, and beside semicolons they can have no others. Raises InputError."""
+    """The lines of a CSV file by column name, in lower case, from its first line that is not blank. The separator is
+    whichever of comma, semicolon and tab that line has most of. If it is not the comma, numbers may have decimal
+    commas; with semicolons a comma is never taken for a thousands separator. Raises InputError."""
     text = _FOR_EXCEL.sub("", read_text(path, hint))
     lines = io.StringIO(text, newline="")
     head = next((line for line in lines if line.strip(",; \t\r\n")), "")
@@ -187,7 +187,7 @@ def read_table(path: Path, hint: str = "") -> Table:
 
 
 def refuse_repeated(path: Path, table: Table, wanted: Iterable[str], hint: str = "") -> None:
-    """Raise InputError where `table`, which `read_table` read from `path`, has several columns of a `wanted` name."""
+    """Raise InputError if `table`, which `read_table` read from `path`, has several columns of a `wanted` name."""
     for name in wanted:
         if list(table.fieldnames or ()).count(name) > 1:
             raise InputError(f"{path}: has several columns {shown(name)}", hint)
@@ -204,7 +204,7 @@ def read(path: Path, schema: type[T], what: str, hint: str = "", most: int = SMA
 
 
 def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
-    """JSON as plain values. `origin` is where it is from, for the message. Raises InputError."""
+    """JSON as plain values. `origin` names its source, for the message. Raises InputError."""
     import msgspec
 
     try:
@@ -215,7 +215,7 @@ def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
         problem = f"nested deeper than {DEEPEST} levels"
     except UnicodeError:
         problem = "not UTF-8 text"
-    except msgspec.DecodeError as error:  # with ValidationError: a number beyond all numbers
+    except msgspec.DecodeError as error:  # includes ValidationError: a number out of range
         start = content[:3] if isinstance(content, bytes) else content[:1].encode("utf-8", "replace")
         if start == b"\xef\xbb\xbf":
             problem = "it begins with a byte order mark, which JSON may not have: save it as UTF-8 without"
@@ -238,9 +238,9 @@ def checked(values: Any, schema: type[T], origin: str, what: str, hint: str = ""
 
 
 def reason(error: Exception) -> str:
-    """What is wrong with values that do not fit together, in words: of an error that using them raised.
+    """What is wrong with the values whose use raised `error`, in words.
 
-    A ValueError's text says so if it was raised on purpose; Python's and numpy's own are for programmers.
+    The text of a ValueError says so if it was raised on purpose; those of Python and numpy are for programmers.
     """
     if isinstance(error, KeyError) and error.args:
         return f"{shown(str(error.args[0]))} is missing"
@@ -250,7 +250,7 @@ def reason(error: Exception) -> str:
 
 
 def _check_depth(values: Any) -> None:
-    """Raise RecursionError for values nested deeper than what walks them later can follow."""
+    """Raise RecursionError for values nested deeper than recursive functions can later follow."""
     level = [values]
     for _ in range(DEEPEST + 1):
         if not level:
@@ -279,8 +279,8 @@ def _place_and_problem(values: Any, schema: Any, message: str) -> tuple[str, str
 
 
 def _keys(values: Any, schema: Any, message: str, path: list[str]) -> list[str | int]:
-    """The keys that lead to what `message` is about; msgspec writes ``[...]`` for any key of a mapping, so that which
-    one it is must be found: by halves, of which the failing one fails with the same message."""
+    """The keys that lead to the value that `message` is about. msgspec writes ``[...]`` for any key of a mapping; the
+    key is found by bisection: the half that contains it fails with the same message."""
     import msgspec
 
     keys: list[str | int] = []
@@ -305,7 +305,7 @@ def _keys(values: Any, schema: Any, message: str, path: list[str]) -> list[str |
 
 
 def _replaced(values: Any, keys: list[str | int], new: Any) -> Any:
-    """`values` with `new` at the end of `keys`; the rest is shared, not copied."""
+    """`values` with `new` at the place that `keys` lead to; the rest is shared, not copied."""
     if not keys:
         return new
     copy = values.copy()

@@ -1,6 +1,6 @@
-"""The tables of standard sizes other than vehicles': parking stalls, and objects for which detectors have classes.
+"""The tables of standard sizes besides those of vehicles: parking stalls, and objects that detectors have classes for.
 
-The figures, and the source of each, are in ``data/stalls.json`` and ``data/objects.json``.
+The figures and their sources are in ``data/stalls.json`` and ``data/objects.json``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .reading import read_plain
 
 
 def standards(kinds: Collection[str] | None = None) -> Standards:
-    """Both tables; of them what is of the `kinds` of anchors that are named, if any are."""
+    """Both tables, restricted to these `kinds` of anchors unless that is None."""
     stalls, objects = _table("stalls"), _table("objects")
     if kinds is None:
         return Standards(stalls, objects)

@@ -20,9 +20,9 @@ def write_layer(
 ) -> None:
     """Write shapely `shapes` (None for no place) of one `kind` ("Polygon" ...) with their `rows` as one layer.
 
-    The file's ending says the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
-    All rows have the same keys; a missing value is None or no finite number, and texts are written as `in_utf8` has
-    them. `crs` is anything GDAL understands. Raises OSError.
+    The file's ending gives the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
+    All rows have the same keys; None and numbers that are not finite are missing values, and texts are escaped by
+    `in_utf8`. `crs` is anything GDAL understands. Raises OSError.
     """
     import pyogrio
     import shapely
@@ -31,7 +31,7 @@ def write_layer(
     columns = [_column([finite(row[name]) for row in rows]) for name in rows[0]]
     try:
         with warnings.catch_warnings(), writable(path) as place:
-            warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres have none that travels
+            warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres may have none
             pyogrio.raw.write(
                 place,
                 geometry=np.array([None if s is None else shapely.to_wkb(s) for s in shapes], object),

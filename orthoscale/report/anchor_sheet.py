@@ -16,11 +16,11 @@ from .pictures import SHEET_WIDTH, drawn
 from .scene import Panel, anchor_panels, pictures_of
 
 SHEET_CELLS = 3
-SHEET_CELL = SHEET_WIDTH // SHEET_CELLS  # side of one [px], without its words
+SHEET_CELL = SHEET_WIDTH // SHEET_CELLS  # side of a cell [px], without its caption
 
 
 def draw_anchors(anchors: Sequence[Mapping[str, Any]], source: Source, path: Path) -> None:
-    """Write a PNG with each of a report's `anchors` by itself, its fitted lines over the picture."""
+    """Write a PNG with a crop for each of a report's `anchors`, its fitted lines drawn over the picture."""
     panels = anchor_panels(anchors, pictures_of(source))
     cells = [np.full((60, SHEET_CELL * SHEET_CELLS, 3), 255, np.uint8)]
     write_on(cells[0], (10, 38), f"{len(anchors)} anchors in {name_of(source.path)}", 22)

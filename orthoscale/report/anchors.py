@@ -14,14 +14,15 @@ from ..core.source import Placement
 from ..formats.vector import write_layer
 
 COLUMNS_OF_LAYER = ("kind", "standard", "metres", "scale", "relative_sd", "count", "residual_cm")
-FITS = 3.0  # sigmas of an anchor from the scale up to which it is one of those that gave it
+FITS = 3.0  # an anchor within this many sigmas of the scale counts as one of those that gave it
 
 
 def entries(votes: Sequence[AnchorVote], metres_per_unit: float, counted: Collection[str] = ()) -> list[dict[str, Any]]:
     """One object for each anchor, at the scale `metres_per_unit`. counted : the kinds that entered that scale.
 
-    ``standard`` is the likeliest one there, ``standards`` are all that it may be; ``scale`` is what the anchor alone
-    would give, ``relative_sd`` one sigma of it with the standard's. ``lines_px`` lie in ``picture``, end to end.
+    ``standard`` is the likeliest at that scale, ``standards`` are all that are possible; ``scale`` is what the anchor
+    alone would give, ``relative_sd`` its one sigma, the standard's included. ``lines_px`` are line segments, each from
+    end to end, in ``picture``.
     """
     return [_entry(vote, metres_per_unit, vote.anchor.kind in counted) for vote in votes]
 
@@ -60,8 +61,8 @@ def _entry(vote: AnchorVote, metres_per_unit: float, of_use: bool) -> dict[str, 
 
 
 def write_anchor_layer(anchors: Sequence[Mapping[str, Any]], place: Placement, path: Path) -> None:
-    """A report's `anchors` of an orthophoto as lines in the coordinates of `place`: the layer ``anchors`` of the
-    GeoPackage at `path`, which may have others. Raises OSError."""
+    """Write a report's `anchors` of an orthophoto as lines in the coordinates of `place`: the layer ``anchors`` of the
+    GeoPackage at `path`, which may have other layers. Raises OSError."""
     import shapely
 
     shapes, rows = [], []

@@ -1,6 +1,6 @@
 """The report's charts as SVG text: narrow enough to be read on a phone, without scripts, fonts or colours of their own.
 
-Classes (`used`, `fleet`, `axis` ...) are styled by the page. Coordinates are those of the `viewBox`.
+The page styles their classes (`used`, `fleet`, `axis` ...). Coordinates are those of the `viewBox`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..core.remarks import signed
 from ..core.round_numbers import round_above, round_below
 from .places import LocalFrameScale, LocalRegionScale, in_percent
 
-CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
-LETTER = 6.8  # width of one, about
-BARS = 18  # of a histogram, about
+CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that letters of size 12 stay readable
+LETTER = 6.8  # width of a letter, about
+BARS = 18  # number of a histogram's bars, about
 BADGE = (40.0, 30.0)  # smallest size of a region's box, for its figures
-FULL_COLOUR = 3.0  # sigmas
+FULL_COLOUR = 3.0  # deviation at which a region has its full colour [sigmas]
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class ChartRow:
 
 
 def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[float, float, float]], what: str) -> Markup:
-    """How often which size [m] was measured, and the curve of the fleet: (weight, mean, sd) of each of its classes.
+    """Histogram of the measured sizes [m], with the curve of the fleet: (weight, mean, sd) of each of its classes.
 
-    Rejected sizes beyond both are counted beside the axis: they would squeeze what matters.
+    Rejected sizes outside the range of both are only counted beside the axis: they would squeeze the rest.
     """
     weight, mean, sd = np.array(fleet, float).T
     weight = weight / weight.sum()
@@ -85,7 +85,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
 
 
 def estimates(rows: Sequence[ChartRow], band: tuple[float, float], label: str) -> Markup:
-    """Values under one another on one axis in per cent of the answer, whose 90 % interval is the grey `band`."""
+    """Values, one below the other, on one axis in per cent of the answer; the grey `band` is its 90 % interval."""
     ends = [*band, *(v for row in rows for v in (row.value, *(row.interval or ())))]
     reach = min(max(1.1 * max(map(abs, ends)), 0.02), 0.6)
     left, right, step, top = 18.0 + LETTER * max(len(row.name) for row in rows), CHART_WIDTH - 58.0, 25.0, 6.0
@@ -113,9 +113,9 @@ def estimates(rows: Sequence[ChartRow], band: tuple[float, float], label: str) -
 
 
 def place_map(vehicles: np.ndarray, regions: Sequence[LocalRegionScale], label: str) -> Markup:
-    """Vehicles (N, 2) [m] from above, and how far the scale of each region is from that of all, in per cent.
+    """Vehicles (N, 2) [m] from above, and the deviation of each region's scale from the overall scale in per cent.
 
-    A region is coloured by its sigmas: what chance gives stays pale.
+    A region is coloured by its deviation in sigmas: what may be chance stays pale.
     """
     edges = np.array([(r.x + s * r.width / 2, r.y + s * r.height / 2) for r in regions for s in (-1, 1)])
     low, high = np.minimum(vehicles.min(0), edges.min(0)), np.maximum(vehicles.max(0), edges.max(0))
@@ -150,12 +150,12 @@ def place_map(vehicles: np.ndarray, regions: Sequence[LocalRegionScale], label: 
 
 
 def strength(deviation: float, sd: float) -> float:
-    """Of a place's colour, 0 to 1: pale for what chance gives, full from FULL_COLOUR sigmas on."""
+    """Strength of a region's colour, 0 to 1: pale for what may be chance, full from FULL_COLOUR sigmas on."""
     return min(abs(deviation) / sd / FULL_COLOUR, 1.0) ** 2 if sd > 0 else 0.0
 
 
 def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
-    """One mark for each frame, in their order, with its 90 % interval; odd ones stand out."""
+    """One mark for each frame, in the order of `rows`, with its 90 % interval; odd frames stand out."""
     reach = min(max(1.05 * max(abs(np.expm1(row.deviation)) for row in rows), 0.04), 0.5)
     left, right, top, height = 46.0, CHART_WIDTH - 4.0, 6.0, 120.0
 

@@ -1,4 +1,4 @@
-"""The report as one JSON document, from which page, terminal and layers are made (with the pictures)."""
+"""The report as one JSON document, from which (with the pictures) the page and the picture of a report are drawn."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from .anchors import entries
 from .measured import MeasuredSource
 
 FORMAT = "orthoscale report 2"
-# Remarks were bare sentences, `notes` those that are only informing; no judgements.
+# In it remarks were bare sentences, `notes` listed those that only inform, and there were no judgements.
 FIRST_FORMAT = "orthoscale report 1"
 
 ORTHOPHOTO, RECONSTRUCTION = "orthophoto", "reconstruction"  # kinds of inputs
 
-# What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
-# its place in the document, and what stands for it. Everything else belongs to every report.
+# Parts that a report may lack (an orthophoto has no frames, few views show no trend, an older version wrote less), by
+# their place in the document, and their defaults. Everything else is in every report.
 OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
@@ -80,9 +80,9 @@ PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap
 
 
 def document(of: MeasuredSource) -> dict[str, Any]:
-    """What was found, as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
+    """The report as plain values. Lengths are in metres unless a name says px or unit; intervals are 90 %.
 
-    ``vehicles[].length`` and ``width`` are those of the vehicle, the detector's margin taken off; ``place_m`` is its
+    ``vehicles[].length`` and ``width`` are those of the vehicle, without the detector's margin; ``place_m`` is its
     place on a plan, x right and y up (see `Source.from_above`). ``remarks`` and ``judgements`` are those of the core,
     with their severity (`core.remarks`).
     """
@@ -140,7 +140,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
-    """Who found the boxes, and how much of the pictures was looked at: None where boxes came from a file."""
+    """The detector, and how much of the pictures was processed (``sweep``): None where boxes came from a file."""
     swept = found.swept
     return {
         "detector": {
@@ -163,13 +163,13 @@ def _of_detection(found: Detections) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    """Of this program and what it measures with."""
+    """Of this program, Python, and the packages that matter."""
     packages = {name: _version(name) for name in PACKAGES}
     return {"orthoscale": __version__, "python": platform.python_version(), **packages}
 
 
 def _anchors(searched: FoundAnchors, scale: Scale) -> dict[str, Any]:
-    """The anchors that were looked for in the pictures, and the scale before they were."""
+    """The anchors found in the pictures, and the scale without them."""
     values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
     if searched.votes and (before := searched.without) is not None:
         values["without_anchors"] = {"scale": before.value, "interval90": list(before.interval90)}
@@ -177,7 +177,7 @@ def _anchors(searched: FoundAnchors, scale: Scale) -> dict[str, Any]:
 
 
 def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
-    """Every vehicle with the boxes that show it. plan : (N, 2) where they stand, from above [m]."""
+    """Every vehicle with the boxes that show it. plan : (N, 2) their places seen from above [m]."""
     votes, scale = measured.votes, measured.scale
     return [
         {
@@ -204,7 +204,7 @@ def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _of_posed(measured: Measurement) -> dict[str, Any]:
-    """What only reconstructions have: how the ruler calibrated itself, each way of measuring, and how they agree."""
+    """The parts that only reconstructions have: the self-calibration, the measuring modes, and how these agree."""
     values: dict[str, Any] = {}
     if (own := measured.found.calibration) is not None:
         values["calibration"] = {**own.ruler.document(own.card), "trends": own.trends}
@@ -238,7 +238,7 @@ def _drift(drift: Drift | ModelDrift | None) -> dict[str, Any] | None:
 
 
 def drift_values(drift: Drift) -> dict[str, Any]:
-    """That of an orthophoto, as the report holds it."""
+    """The drift of an orthophoto, as in the report."""
     names = ("x_px", "y_px", "vehicles", "deviation", "sd")
     return {
         "tilt": drift.tilt,
@@ -273,21 +273,21 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:
-    """Whether it is that of an orthophoto; else of a reconstruction. Older versions told by the unit alone."""
+    """Whether the report is of an orthophoto, not of a reconstruction. In older reports only the unit tells."""
     kind = report["input"].get("kind")
     return kind == ORTHOPHOTO if kind else report["unit"] == PER_PIXEL
 
 
 def pixel_size(report: Mapping[str, Any]) -> tuple[float, float]:
-    """Width and height of an orthophoto's pixel on the ground [m]; the scale is that of a square one of its area."""
+    """Width and height of an orthophoto's pixel on the ground [m]; the scale is the side of a square of equal area."""
     wide = math.sqrt(report["pixel_aspect"])
     return report["scale"] * wide, report["scale"] / wide
 
 
 def upgraded(report: Any) -> Any:
-    """`report` as this version writes it, if the first version did; anything else as it is.
+    """`report` converted from the first format to this one; anything else as it is.
 
-    Its checks are not made up for: judging is for who measures.
+    The judgements that it lacks are not added: only the code that measures can judge.
     """
     if (
         not isinstance(report, dict)
@@ -301,29 +301,29 @@ def upgraded(report: Any) -> Any:
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:
-    """`report` with every part of OPTIONAL that is absent or null; nothing else knows what may be missing."""
+    """`report` with the defaults of OPTIONAL for parts that are absent or null, so that readers need not check."""
     full = dict(report)
     for (*above, name), default in OPTIONAL.items():
         part: Any = full
         for key in above:
             part = part[key]
         if not isinstance(part, dict):
-            continue  # nor has it any parts
+            continue  # the whole part is absent
         if part.get(name) is None:
             part[name] = default
         if isinstance(part[name], Mapping):
-            part[name] = dict(part[name])  # so that its own parts are not added to the caller's
+            part[name] = dict(part[name])  # a copy, so that defaults are not added to the caller's report
     return full
 
 
 def write_json(report: Mapping[str, Any], path: Path) -> None:
-    """Write the report as UTF-8 to `path`, which the caller makes appear whole; names that are not UTF-8 as `in_utf8`
-    has them. Raises OSError."""
+    """Write the report as UTF-8 to `path`, from where the caller moves it into place; `in_utf8` escapes names that are
+    not UTF-8. Raises OSError."""
     path.write_text(json_in_utf8(report, indent=1) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A report that `write_json` wrote, with names as they were. Raises InputError for anything else."""
+    """Read a report that `write_json` wrote, its escaped names restored. Raises InputError for anything else."""
     from ..formats.schemas.report import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
@@ -349,7 +349,7 @@ def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
 
 
 def _current_folder() -> str:
-    """What relative names start from now; '' where that folder was deleted."""
+    """The current folder, from which relative paths start; '' if it was deleted."""
     try:
         return str(Path.cwd())
     except OSError:

@@ -16,20 +16,20 @@ from .places import in_percent
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
-TITLE = 56  # height of what is written above a map [px]
-MOVES = 2000  # of overlapping squares, at most
+TITLE = 56  # height of the title above a map [px]
+MOVES = 2000  # most times that overlapping squares are moved apart
 
 
 def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarray:
     """RGB picture `side` px wide of a model's regions from above, from the report's `drift` and its `scale`; coloured
-    and labelled as the cells of `drift_panel`. Those whose vehicles stand close together are drawn side by side."""
+    and labelled like the cells of `drift_panel`. Regions that would overlap are drawn side by side."""
     regions = drift["regions"]
     centres = np.array([region["centre_unit"] for region in regions]) * (1, -1)  # y up on the plan, down on paper
     square = side // 5
     zoom = (side - square) / np.maximum(np.ptp(centres, axis=0), 1e-12).max()
     corners = np.round(side_by_side((centres - centres.min(0)) * zoom, square)).astype(int)
     corners -= corners.min(0)
-    # What was moved apart may need more room than there is: everything becomes smaller.
+    # Squares that were moved apart may need more room than there is: then everything is drawn smaller.
     shrink = min(1.0, side / (corners[:, 0].max() + square))
     corners, square = (corners * shrink).astype(int), int(square * shrink)
     letters = max(SMALLEST_LETTERS, round(16 * shrink))
@@ -43,7 +43,7 @@ def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarr
 
 
 def side_by_side(corners: np.ndarray, square: float) -> np.ndarray:
-    """(N, 2) `corners` of squares [px], those that overlap moved apart, each pair along the axis that takes less."""
+    """(N, 2) `corners` of squares [px], overlapping ones moved apart, each pair along the axis that needs less."""
     corners = corners.astype(float)
     for _ in range(MOVES):
         apart = corners[:, None] - corners[None]
@@ -62,7 +62,7 @@ def side_by_side(corners: np.ndarray, square: float) -> np.ndarray:
 def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) -> np.ndarray:
     """RGB picture with `side` px on the longer side of a raster of `width` x `height` px, from the report's `drift`.
 
-    Each cell shows its deviation in per cent with what its number of vehicles leaves open (90 %), and that number.
+    Each cell shows its deviation in per cent with its 90 % uncertainty, and its number of vehicles.
     """
     zoom = side / max(width, height)
     panel = np.full((round(height * zoom) + TITLE, round(width * zoom), 3), 255, np.uint8)
@@ -84,7 +84,7 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
 
 
 def _entitle(panel: np.ndarray, drift: Mapping[str, Any], more: str = "") -> None:
-    """Write what the map shows onto the TITLE rows of `panel`."""
+    """Write the map's title and key onto the TITLE rows of `panel`."""
     drifts = drift.get("drifts")
     judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
     write_on(panel, (10, 22), f"Scale by place: {judged}{more}", 17)
@@ -93,7 +93,7 @@ def _entitle(panel: np.ndarray, drift: Mapping[str, Any], more: str = "") -> Non
 
 
 def _colour(deviation: float, sd: float) -> list[float]:
-    """RGB of a cell whose scale is off by `deviation` (log), with one sigma `sd`."""
+    """RGB of a cell whose scale deviates by `deviation` (log), with one sigma `sd`."""
     full = LARGER_RGB if deviation > 0 else SMALLER_RGB
     return (NEUTRAL_RGB + strength(deviation, sd) * (full - NEUTRAL_RGB)).tolist()
 

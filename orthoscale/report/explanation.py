@@ -16,9 +16,9 @@ REPORT_WANTED = "Give the report.json that `fix` wrote."
 
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What `core.uncertainty` makes of a report (`document`), with the report's scale, verdict and remarks.
+    """The explanation that `core.uncertainty` gives of a report (`document`), with its scale, verdict and remarks.
 
-    Raises InputError where that is not in it.
+    Raises InputError if the report lacks what it needs.
     """
     try:
         scale, unit = float(report["scale"]), str(report["unit"])
@@ -35,7 +35,7 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def in_words(explanation: Mapping[str, Any]) -> str:
-    """The explanation as a person reads it."""
+    """The explanation as text."""
     e = explanation
     lines = [
         f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {percent(e['relative_sd'])} (1 sigma).",

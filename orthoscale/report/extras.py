@@ -23,10 +23,10 @@ TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_
 
 @dataclass(frozen=True)
 class Extra:
-    """place : the file's path, from that of the main output. write : makes it.
-    check : raises UsageError, before any work, for a source of which it cannot be made; told whether the copy keeps the
-    source's place.
-    mine : whether a file in that place is orthoscale's, by its content and the main output; for formats that have no
+    """place : the file's path, from that of the main output. write : writes the file.
+    check : raises UsageError, before any work, for a source from which it cannot be made; the second argument says
+    whether the copy keeps the source's place.
+    mine : whether orthoscale wrote a file at that path, by its content and the main output; for formats that have no
     room for a signature.
     """
 
@@ -36,12 +36,12 @@ class Extra:
     check: Callable[[Plan, bool], None] = lambda source, keep_origin: None
 
     def known(self, out: Path) -> Callable[[Path], bool] | None:
-        """`mine` for the main output `out`."""
+        """`mine`, given the main output `out`."""
         return None if self.mine is None else partial(self.mine, out)
 
 
 def write_world_file(result: Result, place: Placement, path: Path) -> None:
-    """Six lines: the transform's linear part, then the centre of the first pixel (ESRI's convention)."""
+    """Write six lines: the transform's linear part, then the centre of the first pixel (ESRI's convention)."""
     path.write_text("".join(f"{value:.17g}\n" for value in _world(place.transform)))
 
 
@@ -50,7 +50,7 @@ def _world(t: Affine) -> tuple[float, ...]:
 
 
 def _says_the_same(out: Path, path: Path) -> bool:
-    """Whether the world file `path` places the picture as the GeoTIFF `out` does, which orthoscale wrote."""
+    """Whether orthoscale wrote the GeoTIFF `out`, and the world file `path` gives the picture the same place."""
     if not ours(out):
         return False
     try:
@@ -62,18 +62,18 @@ def _says_the_same(out: Path, path: Path) -> bool:
 
 
 def write_scale_file(result: Result, place: Placement, path: Path) -> None:
-    """The scale as the first word; what it is, after a ``#``."""
+    """Write the scale as the first word, and a description of it after a ``#``."""
     low, high = result.scale.interval90
     path.write_text(
         f"{result.scale.value:.17g}  # {result.scale.unit}, 90 % from {low:.6g} to {high:.6g}, "
         f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {signature(path)}\n",
         encoding="utf-8",
-        errors="backslashreplace",  # the fleet is called like its file
+        errors="backslashreplace",  # the fleet's name may be that of its file
     )
 
 
 def write_tiles(result: Result, place: Placement, path: Path) -> None:
-    """A line per tile that was looked at: where it is, how many vehicles stand in it, what scale they give."""
+    """Write a line per processed tile: its place, the number of its vehicles, and the scale from them."""
     swept = result.detections.swept
     votes, scale = result.votes, result.scale
     rows = []
@@ -108,5 +108,5 @@ WRITERS = {
 
 
 def chosen(kinds: Sequence[str]) -> list[Extra]:
-    """Those of WRITERS that `kinds` names, each once, in the order in which they were asked for."""
+    """The WRITERS that `kinds` names, each once, in the order of `kinds`."""
     return [WRITERS[kind] for kind in dict.fromkeys(kinds)]

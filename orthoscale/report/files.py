@@ -1,4 +1,4 @@
-"""The files of a report, and a report's page drawn again."""
+"""Writes the files of a report, and draws a report's page or picture again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Attempt = Callable[[Path, str], AbstractContextManager[None]]
 
 def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) -> None:
     """Write the parts of the report that `paths` names, ``json`` first, then ``png``, ``html``, each in an `attempt`
-    (`Outputs.attempt`), so that one that fails takes nothing else away."""
+    (`Outputs.attempt`), so that a failure of one does not affect the others."""
     report = cache(result.to_dict)
     scene = cache(lambda: ReportPictures.of(report(), result.source))
     writers: dict[str, Callable[[Path], None]] = {
@@ -41,12 +41,12 @@ def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) ->
 
 
 def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = False) -> str:
-    """Draw the report.json at `path` again, to `out`: its page, or its picture where `out` ends in .png; with frames
-    when its input is still there, unchanged.
+    """Draw the report.json at `path` again, to `out`: its page, or its picture if `out` ends in .png. The input's own
+    pictures are shown if it is still there, unchanged.
 
-    images : folder of a model's frames, when not beside it. Returns why there are none, or ''.
-    Raises InputError for a file that is no report, UsageError for frames of an orthophoto and for an `out` of another
-    ending than .html and .png, and what `Outputs` does.
+    images : folder of a model's frames, when not beside it. Returns why the input's pictures are missing, or ''.
+    Raises InputError for a file that is no report, UsageError if `images` is given for an orthophoto or `out` ends in
+    neither .html nor .png, and what `Outputs` raises.
     """
     if out.suffix.lower() not in DRAWN_AS:
         raise UsageError(f"{out}: a report is drawn as a page or a picture", "Let its name end in .html or .png.")
@@ -66,7 +66,7 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
                 _write_page(page(report, scene), partial)
         except (OrthoscaleError, OSError):
             raise
-        except Exception as error:  # whatever values that do not fit together lead to
+        except Exception as error:  # inconsistent values may lead to any error
             raise InputError(
                 f"{path}: a damaged report ({reason(error)})", "Make it again with `orthoscale fix`."
             ) from error
@@ -78,9 +78,9 @@ def _write_page(html: str, path: Path) -> None:
 
 
 def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple[Source | None, str]:
-    """The source that a report speaks of, or None and why it is not taken."""
+    """The source of a report, and ''; or None, and why it cannot be used."""
     settings = report["settings"]
-    # Relative names are those of the first run, wherever the report is drawn again; it may have been moved with them.
+    # Relative names start from the folder of the first run, or from the report's if it was moved with its input.
     starts = [Path(report["input"].get("folder", "")), path.parent, Path()]
     found = _there(report["input"]["path"], starts)
     if found is None:
@@ -101,5 +101,5 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
 
 
 def _there(name: str, starts: Sequence[Path]) -> Path | None:
-    """What lies at `name`, from the first of the folders `starts` where there is anything."""
+    """The path `name` in the first of the folders `starts` in which it exists; None if in none."""
     return next((start / name for start in starts if is_there(start / name)), None)

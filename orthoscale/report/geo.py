@@ -18,8 +18,8 @@ from .anchors import entries, write_anchor_layer
 from .pictures import REJECTED_RGB, USED_RGB
 from .result import Result
 
-# Used blue, others dashed orange, as in the report; what a QGIS layer loads as its default style from the table
-# layer_styles.
+# The default style, which QGIS loads from the table layer_styles: used vehicles blue, others dashed orange, as in the
+# report.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis styleCategories="Symbology">
  <renderer-v2 type="categorizedSymbol" attr="used" symbollevels="0" enableorderby="0" forceraster="0">
@@ -51,8 +51,8 @@ STYLES_TABLE = """CREATE TABLE layer_styles (
 
 
 def table(result: Result, place: Placement) -> dict[str, np.ndarray]:
-    """One value per vehicle, lengths in metres. Headings are clockwise from the north of the grid of `place` [deg,
-    0..180): which end is the front is not known."""
+    """Columns with one value per vehicle, lengths in metres. Headings are clockwise from the grid north of `place`
+    [deg, 0..180): it is not known which end is the front."""
     vehicles = result.vehicles
     a, b, _, d, e, f = place.transform[:6]
     x, y = np.cos(vehicles["angle"]), np.sin(vehicles["angle"])
@@ -84,7 +84,7 @@ def outlines(result: Result, place: Placement) -> np.ndarray:
 
 
 def write_geopackage(result: Result, place: Placement, path: Path) -> None:
-    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``; anchors as lines, layer ``anchors``.
+    """Write vehicles as polygons (layer ``vehicles``) and anchors as lines (``anchors``), in the scaled copy's CRS.
 
     Raises OutputError.
     """
@@ -104,8 +104,8 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
 
 
 def check_on_earth(source: Plan, keep_origin: bool) -> None:
-    """Raise UsageError where the copy of `source` lies nowhere on Earth: GeoJSON knows nothing else. keep_origin :
-    whether it keeps the place of `source`."""
+    """Raise UsageError if the copy of `source` has no place on Earth, which GeoJSON needs. keep_origin : whether it
+    keeps the place of `source`."""
     if _on_earth(source.place(1.0, keep_origin)):
         return
     kept = _on_earth(source.place(1.0, keep_origin=True))
@@ -124,9 +124,9 @@ def _nowhere(path: Path, take: str) -> UsageError:
 
 
 def write_geojson(result: Result, place: Placement, path: Path) -> None:
-    """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
+    """Write vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 requires and every reader accepts.
 
-    They lie on the copy at `place`. Raises UsageError where that is nowhere on Earth.
+    place : of the scaled copy. Raises UsageError if it is nowhere on Earth.
     """
     if not _on_earth(place):
         raise _nowhere(result.source.path, "Take")

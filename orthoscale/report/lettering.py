@@ -1,4 +1,4 @@
-"""Lettering on pictures that is readable on any background: black or coloured, with a halo."""
+"""Draws lettering on pictures, readable on any background: black or coloured, with a halo."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 HALO = 0.13  # width of a halo, as a share of the letters' size
 
 
-# Pillow's own letters, which are the same on every computer, are those of ASCII: others would be empty boxes.
+# Pillow's built-in font, the same on every computer, has ASCII only: other characters would be empty boxes.
 _SPELT = str.maketrans({
     "ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "đ": "d", "Đ": "D", "ł": "l", "Ł": "L",
     "ı": "i", "þ": "th", "Þ": "Th", "ð": "d", "−": "-", "–": "-", "—": "-", "×": "x", "±": "+-", "’": "'",
 })  # fmt: skip
-_RULED = ImageDraw.Draw(Image.new("RGB", (1, 1)))  # on which texts are measured
+_RULED = ImageDraw.Draw(Image.new("RGB", (1, 1)))  # only for measuring texts
 
 
 def in_ascii(text: str) -> str:
-    """`text` in the letters that can be drawn: without accents, and with a question mark for what has no like."""
+    """`text` in characters that can be drawn: without accents, and with a question mark for what has no equivalent."""
     bare = unicodedata.normalize("NFKD", text.translate(_SPELT))
     return "".join(c for c in bare if not unicodedata.combining(c)).encode("ascii", "replace").decode()
 
@@ -47,7 +47,7 @@ def write_on(
     width = max(1, round(HALO * size)) if halo is not None else 0
     left, top, right, bottom = _RULED.textbbox(place, text, _font(size), anchor=anchor, stroke_width=width)
     x, y = max(0, floor(left) - 1), max(0, floor(top) - 1)
-    part = image[y : max(0, ceil(bottom) + 1), x : max(0, ceil(right) + 1)]  # a picture is not copied for a word
+    part = image[y : max(0, ceil(bottom) + 1), x : max(0, ceil(right) + 1)]  # so that not the whole picture is copied
     if not part.size:
         return
     drawn = Image.fromarray(part)

@@ -1,4 +1,4 @@
-"""A source that was measured: what was found in it, and how."""
+"""A measured source: what was found in it, and how."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MeasuredSource:
-    """All that a report tells of one source.
+    """All that a report says about one source.
 
-    zoom_choice : of the search for the zoom, None where it was told. seconds : that it took. settings : options as
-    plain values, to do it again. anchors : those that were found. on_map : where the source lies on the map of
-    --against.
+    zoom_choice : result of the scale search, None if the zoom was given. seconds : duration. settings : the options as
+    plain values, to repeat the measurement. anchors : those that were found. on_map : where the source lies on the map
+    of --against.
     """
 
     source: Source
@@ -40,6 +40,6 @@ class MeasuredSource:
 
     @property
     def remarks(self) -> list[Remark]:
-        """What a reader should know beside the figures, each with its severity: what the core has to say, then what
-        was chosen, left aside or could not be done in opening the source and finding vehicles."""
+        """What a reader should know besides the figures, each with its severity: the remarks of the core, then notes
+        from opening the source and from finding vehicles."""
         return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]

@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 JPEG_QUALITY = 82
 MODE_ORDER = ("planar", "oblique")
 TRENDS = ("percent_per_10_degrees", "percent_per_pixel_doubling")  # of a vehicle's size, before and after calibration
-NAMES = {  # of the report's checks, for people
+NAMES = {  # readable names of the report's checks
     "length": "lengths only",
     "width": "widths only",
     "length_minus_width": "length − width",
 }
-FARTHEST_CHECK = 0.5  # relative; checks further off are left to the document: they would squeeze the others
+FARTHEST_CHECK = 0.5  # relative; checks further off are shown in the JSON only: they would squeeze the others
 
 
 def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
-    """The HTML of a report. `scene` has its pictures; without any, the page does without."""
+    """The HTML of a report. scene : its pictures, if there are any."""
     report = completed(report)
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
     return template("page.html").render(
@@ -73,7 +73,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
 
 @cache
 def template(name: str) -> Template:
-    """The template `name` beside this module: what it is given is escaped, and what it misses is an error."""
+    """The template `name` beside this module: its values are escaped, and a missing one is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("orthoscale.report", ".")
@@ -142,7 +142,7 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
 
 
 def _anchor(anchor: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page says of one anchor."""
+    """What the page says about one anchor."""
     alone = f"{signed(relative(anchor['scale'], report))} ± {percent(Z90 * anchor['relative_sd'])}"
     pictures = f"{anchor['views']} pictures" if anchor["views"] > 1 else anchor["picture"]
     return {**anchor, "alone": alone, "pictures": pictures, "residual": f"{anchor['residual_cm']:.1f} cm"}
@@ -153,7 +153,7 @@ def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
 
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
-    """One way of measuring, in words."""
+    """The result of one measuring mode, in words."""
     values, unit = wording.quantity(report, mode["scale"], *mode.get("interval90", ()))
     interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
     vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
@@ -161,7 +161,7 @@ def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
 
 
 def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """What a model's views said of the detector's ruler: name, before and after, for lengths and widths."""
+    """The self-calibration of the detector's ruler: name, before and after, for lengths and widths."""
     found = report["calibration"]
     if not found:
         return []

@@ -16,9 +16,9 @@ from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, ReportPictures
 from .wording import quantity
 
-USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
-SHEET_WIDTH = 1100  # of the sheet [px]
-FEWEST_REGIONS = 2  # of a model with a scale of their own, from which they are drawn
+USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; distinguishable with red-green colour blindness
+SHEET_WIDTH = 1100  # width of the picture [px]
+FEWEST_REGIONS = 2  # regions of a model with a scale of their own; fewer are not drawn
 SHEET_COLUMNS = 6  # of the contact sheet
 
 
@@ -54,7 +54,7 @@ def _title(report: Mapping[str, Any]) -> np.ndarray:
 
 
 def drawn(panel: Panel, zoom: float) -> np.ndarray:
-    """RGB of a panel enlarged by `zoom`, with its outlines and its bar."""
+    """RGB of a panel enlarged by `zoom`, with its outlines and its scale bar."""
     height, width = panel.image.shape[:2]
     size = max(1, round(width * zoom)), max(1, round(height * zoom))
     image = cv2.resize(panel.image, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC)

@@ -14,7 +14,7 @@ from .document import pixel_size
 @dataclass(frozen=True)
 class LocalRegionScale:
     """x, y : its middle on the plan [m]. width, height : its size [m], 0 where it has none.
-    deviation : log of its scale over that of all; sd : one sigma of that."""
+    deviation : log of its scale over the overall scale; sd : one sigma of that."""
 
     x: float
     y: float
@@ -26,7 +26,7 @@ class LocalRegionScale:
 
 @dataclass(frozen=True)
 class LocalFrameScale:
-    """deviation : log of the scale that this frame gives its vehicles over the one that all frames give them."""
+    """deviation : log ratio of the scale from this frame to the scale from all frames, for the same vehicles."""
 
     name: str
     deviation: float
@@ -35,13 +35,13 @@ class LocalFrameScale:
 
 
 def in_percent(deviation: float, sd: float) -> tuple[float, float]:
-    """A `deviation` (log) with one sigma `sd`: by how many per cent the scale is larger, and half of the width of the
-    90 % interval of that [%]. Every output gives these figures."""
+    """The `deviation` (log) of a scale and its one sigma `sd` in per cent, the latter as half the width of the 90 %
+    interval. Every output gives these figures."""
     return 100 * expm1(deviation), 100 * Z90 * sd * exp(deviation)
 
 
 def regions(report: Mapping[str, Any]) -> list[LocalRegionScale]:
-    """Places with a scale of their own; none where there are too few vehicles to compare them."""
+    """Regions with a scale of their own; none if there are too few vehicles to compare them."""
     drift, scale = report.get("drift") or {}, report["scale"]
     if drift.get("cells"):
         ((_, image_height),) = report["pictures"].values()

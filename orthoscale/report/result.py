@@ -34,13 +34,13 @@ class Result(MeasuredSource, Brief):
         return self.measured.projection
 
     def answer(self) -> list[tuple[str, str]]:
-        """The scale in words, by what each line is called; signs in ASCII, which every terminal can write."""
+        """The scale in words, as lines of label and text, in ASCII, which every terminal can show."""
         scale = self.scale
         within = f"{scale.verdict} (90 % within {scale.within})"
         return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
 
     def brief(self) -> list[tuple[str, str]]:
-        """What printing it shows."""
+        """The lines that printing it shows: label and text."""
         scale = self.scale
         rejected = sum(scale.rejected.values())
         said = [remark.text for remark in self.remarks]
@@ -60,7 +60,7 @@ class Result(MeasuredSource, Brief):
         return document(self)
 
     def place(self, keep_origin: bool = False) -> Placement:
-        """The georeferencing of an orthophoto's copy: by the map that it was found on, else local metres, or with
+        """The georeferencing of an orthophoto's copy: from the map on which it was found, else local metres, or with
         `keep_origin` the input's own place."""
         assert self.source.plan is not None, "reconstructions have none"
         metres_per_pixel = self.scale.value
@@ -78,7 +78,7 @@ class Result(MeasuredSource, Brief):
 
     @property
     def vehicles(self) -> np.ndarray:
-        """(N,) structured array, a row for each vehicle with its metres (`core.measuring.vehicles.VEHICLE`)."""
+        """(N,) structured array with a row for each vehicle, sizes in metres (`core.measuring.vehicles.VEHICLE`)."""
         return self.measured.vehicles
 
     @property
@@ -98,7 +98,7 @@ class Result(MeasuredSource, Brief):
 
     @property
     def disagreement(self) -> EvidenceDisagrees | None:
-        """What contradicts what, where something does; raised by `require_useful` and by the command line."""
+        """The first contradiction, None if there is none; raised by `require_useful` and by the command line."""
         said = (*self.scale.remarks, *self.source.notes)
         refusal = next((remark for remark in said if remark.severity == REFUSAL), None)
         if refusal is None:
@@ -124,11 +124,11 @@ class Result(MeasuredSource, Brief):
 
     @property
     def _cures(self) -> str:
-        """What may make too uncertain a scale useful, of what the user has not done yet."""
+        """What the user has not done yet that may make too uncertain a scale useful, as a hint."""
         cures = []
         if "fleet" not in self.settings:
             cures.append("name the country's fleet (--fleet)")
-        if self.zoom_choice is not None:  # it was searched for, and may be that of other things than vehicles
+        if self.zoom_choice is not None:  # the scale search may have found other things than vehicles
             claimed = self.source.claimed
             told = claimed is not None and claimed.gsd_m is not None and claimed.usable and self.source.plan is not None
             size = f"{claimed.gsd_m:.3g}, as its georeferencing claims" if claimed and told else "METRES_PER_PIXEL"

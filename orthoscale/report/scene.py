@@ -18,19 +18,19 @@ from ..core.source import Picture, PosedSet, Source
 from .document import completed, of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
-CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
-CHIP = 180  # side of one [px]
+CHIPS, REJECTED_CHIPS = 24, 8  # used and rejected vehicles that are shown one by one, as chips
+CHIP = 180  # side of a chip [px]
 CHIP_SPAN = 1.7  # side of a chip in vehicle lengths
-ANCHOR_CROPS = 12  # anchors shown one by one
-ANCHOR_CROP = 420  # longer side of one [px]
-ANCHOR_BORDER = 0.12  # of its longer side, about an anchor
+ANCHOR_CROPS = 12  # anchors that are shown one by one, as crops
+ANCHOR_CROP = 420  # longer side of a crop [px]
+ANCHOR_BORDER = 0.12  # border around an anchor, as a share of its longer side
 PAPER = 245  # grey of a plan's background
-SMALLEST_MARK = 7  # radius of a vehicle on a plan, at least [px]
+SMALLEST_MARK = 7  # smallest radius of a vehicle on a plan [px]
 
 
 @dataclass(frozen=True)
 class Outline:
-    """points : (K, 2) corners [px of the panel]. used : whether the vehicle counts. label : what to say of it."""
+    """points : (K, 2) corners [px of the panel]. used : whether the vehicle counts. label : its description."""
 
     points: np.ndarray
     used: bool
@@ -39,9 +39,8 @@ class Outline:
 
 @dataclass(frozen=True)
 class Panel:
-    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale.
-
-    fine : whether its outlines lie on lines that must show beside them.
+    """image : (h, w, 3) uint8 RGB. bar : scale bar, a round number of metres and its length [px]; only where the whole
+    picture has one scale. fine : whether outlines are thin, because they lie on lines that must stay visible.
     """
 
     title: str
@@ -63,7 +62,7 @@ class ReportPictures:
 
     @classmethod
     def of(cls, report: Mapping[str, Any], source: Source | None) -> ReportPictures:
-        """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
+        """The pictures of a report, with the pixels of its `source`, as far as these are at hand."""
         report = completed(report)
         vehicles, anchors = report["vehicles"], report["anchors"]
         pictures = _pictures(source, vehicles, anchors) if source else {}
@@ -87,15 +86,15 @@ class ReportPictures:
 
 
 def _pictures(source: Source, vehicles: Sequence[Mapping], anchors: Sequence[Mapping]) -> dict[str, Picture]:
-    """The pictures at hand that vehicles' boxes and anchors lie in: the source's own, or its frames warped onto the
-    ground."""
+    """The pictures at hand in which the vehicles' boxes and the anchors lie: the source's own, with its ground pictures
+    if needed."""
     names = {box["picture"] for vehicle in vehicles for box in vehicle["boxes"]}
     names |= {anchor["picture"] for anchor in anchors}
     return pictures_of(source, ground=not names <= set(source.picture_names))
 
 
 def pictures_of(source: Source, ground: bool = True) -> dict[str, Picture]:
-    """The pictures of `source` that are at hand, by name, with those of the `ground` under its frames if asked for."""
+    """The pictures of `source` that are at hand, by name. ground : with its ground pictures."""
     pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
     if pictures and ground and source.posed is not None:
         pictures |= {p.name: p for p in source.posed.ground_pictures if p.frame is not None}
@@ -103,7 +102,7 @@ def pictures_of(source: Source, ground: bool = True) -> dict[str, Picture]:
 
 
 def _busiest(vehicles: Sequence[Mapping], pictures: Mapping[str, object]) -> str | None:
-    """The picture that shows most vehicles that count."""
+    """The name of the picture with most boxes of used vehicles; None if there are none."""
     counts = dict.fromkeys(pictures, 0)
     for vehicle in vehicles:
         for box in vehicle["boxes"]:
@@ -133,13 +132,13 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
 
 
 def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
-    """A model's sparse points from above, in metres, with the vehicles where they stand."""
+    """A model's sparse points from above, in metres, with its vehicles."""
     scale = float(report["scale"])
     vehicles = np.array([v["place_m"] for v in report["vehicles"]], float).reshape(-1, 2)
     points, colours = vehicles, np.full((len(vehicles), 3), PAPER, np.uint8)
     if source is not None:
         xyz, colours = source.sparse
-        order = np.argsort(source.ground.height_above(xyz))  # what stands higher is drawn later
+        order = np.argsort(source.ground.height_above(xyz))  # higher points are drawn later
         points, colours = source.from_above(xyz[order]) * scale, colours[order]
     low, high = np.percentile(points, [1, 99], axis=0)
     low, high = np.minimum(low, vehicles.min(0, initial=np.inf)), np.maximum(high, vehicles.max(0, initial=-np.inf))
@@ -154,7 +153,7 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     image = np.full((height, width, 3), PAPER, np.uint8)
     dot = 2 if len(points) < 100_000 else 1
     pixels = to_px(points).round()
-    # Points far off, or nowhere, are not in the picture, and OpenCV takes no such numbers.
+    # Points far outside of the picture, or not finite, are left out: OpenCV cannot take such numbers.
     shown = ((pixels >= -dot) & (pixels <= (width + dot, height + dot))).all(1)
     for (x, y), colour in zip(pixels[shown].astype(int).tolist(), colours[shown].tolist(), strict=True):
         cv2.circle(image, (x, y), dot, colour, -1)
@@ -169,13 +168,13 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
 
 
 def _evenly(vehicles: Sequence[Mapping], count: int) -> list[Mapping]:
-    """`count` of them, from the first to the last."""
+    """`count` of them, evenly spaced from the first to the last."""
     chosen = np.unique(np.linspace(0, len(vehicles) - 1, min(count, len(vehicles))).round().astype(int))
     return [vehicles[k] for k in chosen]
 
 
 def _chips(vehicles: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:
-    """Each vehicle by itself, as its best box at hand shows it."""
+    """A chip for each vehicle, cut out around its most confident box at hand."""
     chips = []
     for vehicle in vehicles:
         boxes = [box for box in vehicle["boxes"] if box["picture"] in pictures]
@@ -200,7 +199,7 @@ def _chip(vehicle: Mapping, box: Mapping, picture: Picture) -> Panel:
 
 
 def anchor_panels(anchors: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:
-    """Each of a report's `anchors` by itself, with its fitted lines; those whose picture is at hand."""
+    """A crop with the fitted lines for each of a report's `anchors` whose picture is at hand."""
     return [_crop(anchor, pictures[anchor["picture"]]) for anchor in anchors if anchor["picture"] in pictures]
 
 

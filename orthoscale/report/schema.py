@@ -1,4 +1,4 @@
-"""The JSON Schema of a report, generated from the types that validate one when it is read."""
+"""The JSON Schema of a report, generated from the types that validate a report when it is read."""
 
 from __future__ import annotations
 

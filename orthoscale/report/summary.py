@@ -27,9 +27,9 @@ from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
 SUMMARY_LAYER = "orthoscale"
-MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"'}  # what no other output has inside
+MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"'}  # texts that no other output has
 
-# The columns of a summary; None where there is nothing to say. Intervals are 90 %.
+# The columns of a summary, with their meaning; values are None where unknown. Intervals are 90 %.
 COLUMNS = {
     "input": "its path",
     "exit_code": "what the command would have returned for it alone",
@@ -55,20 +55,21 @@ Row = dict[str, Any]
 
 
 def check_summary(path: Path) -> None:
-    """Raise UsageError where the ending of `path` is none of a summary."""
+    """Raise UsageError unless `path` has an ending of a summary."""
     if path.suffix.lower() not in SUMMARY_WRITERS:
         raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_WRITERS)}", "Choose one of them.")
 
 
 def is_summary(path: Path) -> bool:
-    """Whether `path` is a summary that orthoscale wrote, by its ending and not, say, the report of a copy."""
+    """Whether `path` is a summary that orthoscale wrote in the format of its ending, and not another output of it, such
+    as the report of a copy."""
     if path.suffix.lower() == ".csv":
         return has_header(path, COLUMNS)
     return ours(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
 
 
 def inputs_in(path: Path) -> set[str] | None:
-    """The inputs that the summary `path` speaks of, as `in_utf8` writes them; None where it is damaged."""
+    """The inputs in the summary `path`, as `in_utf8` writes them; None if it is damaged."""
     try:
         return set(map(in_utf8, SUMMARY_READERS[path.suffix.lower()](path)))
     except (OSError, ValueError, KeyError, TypeError, sqlite3.Error):
@@ -95,8 +96,8 @@ def _in_page(path: Path) -> list[str]:
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
-    """Write `rows` to `path`, in the format of its ending; links lead from `place`, where the
-    file is to be. Raises OSError."""
+    """Write `rows` to `path`, in the format of its ending. Links are relative to `place`, the file's final path. Raises
+    OSError."""
     SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
 
 
@@ -109,7 +110,7 @@ def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
-    """A point in the middle of each input that says where it lies; the others as rows without a place."""
+    """A point in the middle of each input with a known place; the others as rows without a geometry."""
     import shapely
 
     points = [
@@ -130,7 +131,7 @@ def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def claimed(row: Mapping[str, Any]) -> str:
-    """The scale that the input of a row claims, with its unit; '' where it claims none."""
+    """The scale that a row's input claims, with its unit; '' if it claims none."""
     if not row["claim"]:
         return ""
     return f"{row['claimed']:.4g} {'per pixel' if row['claim'] == NO_UNIT else row['unit']}"
@@ -146,7 +147,7 @@ def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _page_of(row: Mapping[str, Any], place: Path) -> str:
-    """The link from `place` to the page of one input's report; '' where there is none."""
+    """The relative link from `place` to the page of a row's report; '' if there is none."""
     if row["output"] is None:
         return ""
     out = Path(row["output"])

@@ -1,4 +1,4 @@
-"""The summary of a result in the terminal: one table, the answer first, then its support."""
+"""Prints the summary of a result in the terminal: one table, the answer first, then what it rests on."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red
 
 
 def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
-    """Print what there is to say of `result`, and what was `written` where.
+    """Print the summary of `result`, and the paths that were `written`.
 
-    On a terminal as a table of its width, with colours unless the environment's NO_COLOR is set; into a pipe as one
-    line a row.
+    On a terminal as a table of its width, with colours unless the environment variable NO_COLOR is set; into a pipe one
+    line per row.
     """
     from rich.console import Console
     from rich.table import Table
@@ -43,12 +43,12 @@ def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> 
 
 
 def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> str:
-    """One line a row, without colours."""
+    """The summary as text, one line per row, without colours."""
     return "\n".join(f"{label:10s} {value}" for label, value in rows(result, written))
 
 
 def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
-    """Labels and texts, the answer first; signs in ASCII, which every terminal and pipe can write."""
+    """Labels and texts, the answer first, in ASCII, which every terminal and pipe can take."""
     scale = result.scale
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+z.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)

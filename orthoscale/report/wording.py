@@ -1,4 +1,4 @@
-"""The figures of a report as text: with suitable digits and units."""
+"""Formats the figures of a report as text, with suitable digits and units."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..core.remarks import signed
 from ..core.scale import decimals, interval_about
 from .document import of_plan
 
-FLEETS_NAMED = 5  # of those that are likely
+FLEETS_NAMED = 5  # number of likely fleets that are named
 
 
 def counted(numbers: Mapping[str, int]) -> str:
-    """How many there are of each thing: "6 low confidence, 2 too large for a car"; '' of nothing."""
+    """How many there are of each thing: "6 low confidence, 2 too large for a car"; '' if there are none."""
     return ", ".join(f"{number} {thing}" for thing, number in numbers.items())
 
 
@@ -28,7 +28,7 @@ def counted_kinds(kinds: Iterable[str]) -> str:
 
 
 def likely_fleets(fleets: Mapping[str, float]) -> str:
-    """The likeliest of `fleets`, probabilities by code; '' where there was no choice."""
+    """The likeliest of `fleets` with their probabilities, given by code; '' if there was no choice."""
     likely = sorted(fleets.items(), key=lambda item: -item[1])[:FLEETS_NAMED] if len(fleets) > 1 else []
     return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
 
@@ -46,7 +46,7 @@ def within(report: Mapping[str, Any]) -> str:
 
 
 def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]:
-    """`values` with as many digits as the scale deserves (two of its uncertainty), and their unit for people."""
+    """`values` with the digits that the scale's uncertainty justifies (two of its own), and their unit for people."""
     unit = {"m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
     factor = 1.0
     if of_plan(report) and report["scale"] < 1:
@@ -57,19 +57,19 @@ def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]
 
 
 def relative(scale: float, report: Mapping[str, Any]) -> float:
-    """How much larger `scale` is than the answer: 0.02 is 2 %."""
+    """The relative difference of `scale` from the answer: 0.02 is 2 % larger."""
     return scale / report["scale"] - 1
 
 
 def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
-    """What the interval means for a length of so many metres in the copy."""
+    """What the interval means for a `length` [m] in the copy, as a sentence."""
     low, high = (length * end / report["scale"] for end in report["interval90"])
     places = min(max(decimals((high - low) / 2) - 1, 1), 3)
     return f"{length:g} m in the copy are {low:.{places}f} to {high:.{places}f} m on the ground"
 
 
 def narrowed(report: Mapping[str, Any]) -> str:
-    """What anchors did to the interval, in words."""
+    """The effect of anchors on the interval and on the scale, in words."""
     before = report.get("without_anchors")
     if not before:
         return "the scale rests on them"

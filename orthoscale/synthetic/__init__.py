@@ -1,10 +1,10 @@
-"""Synthetic scenes with exact truth, for tests, examples and training: what a survey would see, in metres.
+"""Synthetic scenes with exact ground truth, for tests, examples and training: what a survey would see, in metres.
 
     scene = make_scene(seed=1, n_vehicles=60)
     image, boxes = render_ortho(scene, gsd_m=0.08)
     truth = write_colmap(scene, Path("survey"), metres_per_unit=3.7, n_frames=16)
 
-Nothing in orthoscale imports this package.
+No other package of orthoscale imports this one.
 """
 
 from .labels import write_labels

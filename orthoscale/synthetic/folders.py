@@ -1,4 +1,4 @@
-"""Small data sets in the forms that `orthoscale evaluate` reads, with exact truth: DenseUAV's, UAV-VisLoc+'s, CSV."""
+"""Small data sets with exact truth in the layouts that `orthoscale evaluate` reads: DenseUAV's, UAV-VisLoc+'s, CSV."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .render import Look, depth, render, vehicle_boxes
 from .scene import Scene
 from .view import Camera, Perspective, Pose
 
-FRAME_SIZE = (720, 540)  # of DenseUAV's frames, width and height, at half the resolution of its cameras' [px]
-VISLOC_FOCAL = 900.0  # [px] of the frames that are laid out as UAV-VisLoc's
-LON_LAT = (9.0, 48.0)  # [deg] where the scenes lie: central Europe, in UTM zone 32
+FRAME_SIZE = (720, 540)  # width and height of a frame [px]; half the resolution of DenseUAV's cameras
+VISLOC_FOCAL = 900.0  # [px] focal length of the frames in UAV-VisLoc's layout and in the CSV
+LON_LAT = (9.0, 48.0)  # [deg] place of the scenes: central Europe, in UTM zone 32
 GROUND_M, ROOFS_M = 120.0, 14.0
 EFFECTIVE_HEIGHT_M = 0.8
 
@@ -31,7 +31,7 @@ EFFECTIVE_HEIGHT_M = 0.8
 def write_denseuav(
     scene: Scene, folder: Path, altitudes: Sequence[float] = (80, 90, 100), places: int = 3, pictures: bool = True
 ) -> None:
-    """``query_drone/000001/H80.JPG`` ...: every place from every altitude, straight down; and detections.json."""
+    """Write ``query_drone/000001/H80.JPG`` ...: every place from every altitude, straight down; and detections.json."""
     camera = Camera(DENSEUAV_FOCAL * float(np.hypot(*FRAME_SIZE)), *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rng = np.random.default_rng(1)
@@ -52,8 +52,8 @@ def write_visloc(
     altitude_m: float = 90.0,
     pictures: bool = True,
 ) -> None:
-    """``01/drone/01_0001.JPG`` ..., ``01/reference.txt``, ``01/camera.xml``, ``01/region01_dsm.tif`` and so on, as if
-    the scene stood 120 m above the sea with roofs on half of the model; and detections.json."""
+    """Write ``01/drone/01_0001.JPG`` ..., ``01/reference.txt``, ``01/camera.xml``, ``01/region01_dsm.tif`` and so on,
+    as if the scene stood 120 m above the sea, with roofs on half of the surface model; and detections.json."""
     found: dict[str, Boxes] = {}
     for k, region in enumerate(regions):
         base = folder / region
@@ -63,7 +63,7 @@ def write_visloc(
         lines = ["# label longitude latitude height yaw pitch roll"]
         for number in range(1, photos + 1):
             name = f"{region}/drone/{region}_{number:04d}.JPG"
-            # Yaw from north, pitch and roll from straight down, as photogrammetry programs have them.
+            # Yaw from north, pitch and roll from straight down, as in photogrammetry programs.
             yaw, pitch, roll = rng.uniform(0, 360), rng.normal(0, 4), rng.normal(0, 3)
             height = altitude_m * rng.uniform(0.9, 1.1)
             x, y = rng.uniform(-0.1, 0.1, 2) * scene.extent_m
@@ -83,8 +83,8 @@ def write_visloc(
 
 
 def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, -55), pictures: bool = True) -> None:
-    """``photos.csv`` beside its photos, with pitch and focal length; detections.json; ``depth/photos/000.npy`` ... with
-    the exact depth along the optical axis [m]."""
+    """Write ``photos.csv`` with pitch [deg] and focal length [px], and its photos; detections.json; and
+    ``depth/photos/000.npy`` ... with the exact depth along the optical axis [m]."""
     camera = Camera(VISLOC_FOCAL, *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rows = []
@@ -115,7 +115,7 @@ def survey_rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 
 def _photo(scene: Scene, camera: Camera, pose: Pose, path: Path, seed: int, pictures: bool) -> Boxes:
-    """Write the photo (grey without `pictures`); returns the boxes of the vehicles that lie in it whole."""
+    """Write the photo (plain grey without `pictures`); returns the boxes of the vehicles that lie completely in it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     view = Perspective(camera, pose)
     image = np.full((camera.height, camera.width, 3), 120, np.uint8)
@@ -128,10 +128,10 @@ def _photo(scene: Scene, camera: Camera, pose: Pose, path: Path, seed: int, pict
 
 
 def _write_detections(found: dict[str, Boxes], path: Path) -> None:
-    """The true boxes, as those of a detector without faults; half a pixel of noise at most is in their rounding."""
+    """Write the true boxes, as those of a faultless detector; only rounding adds noise, half a pixel at most."""
     height = (EFFECTIVE_HEIGHT_M, EFFECTIVE_HEIGHT_M)
     faultless = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.005, 0.005), noise=(0.3, 0.3))
-    # `vehicle_boxes` are of blocks on the footprint.
+    # `vehicle_boxes` treats vehicles as cuboids on the footprint.
     save_detections(Detections(found, 1.0, faultless, height, "true boxes of a synthetic scene", body="cuboid"), path)
 
 
@@ -141,7 +141,8 @@ def _on_earth(x: float, y: float) -> tuple[float, float]:
 
 
 def _write_dsm(path: Path, step: float = 2.0, half: float = 300.0) -> None:
-    """Ground at 120 m with a little noise, roofs on every second block of 20 m, and a border that nobody surveyed."""
+    """Write a surface model: ground at 120 m with a little noise, roofs on every second block of 20 m, and a border
+    without data."""
     to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
     east, north = to_utm.transform(*LON_LAT)
     count = int(2 * half / step)

@@ -1,4 +1,4 @@
-"""Training labels: pictures of random scenes with exact boxes, in the form that `training/data.py` reads."""
+"""Training labels: pictures of random scenes with exact boxes, in the format that `training/data.py` reads."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ LARGEST_EXTENT_M = 300.0
 
 
 def visible_share(vehicles: tuple[Vehicle, ...], view: View, owner: np.ndarray) -> np.ndarray:
-    """(N,) how much of each vehicle's outline is in sight: not behind something, not outside the picture.
+    """(N,) visible share of each vehicle's outline: neither hidden behind something nor outside the picture.
 
-    owner : (H, W) the vehicle that each pixel sees, from `render`.
+    owner : (H, W) the vehicle that each pixel shows, from `render`.
     """
     seen = np.bincount(owner[owner >= 0], minlength=len(vehicles))[: len(vehicles)]
     outlines = (cv2.convexHull(view.project(v.hull).astype(np.float32)) for v in vehicles)
@@ -33,8 +33,9 @@ def visible_share(vehicles: tuple[Vehicle, ...], view: View, owner: np.ndarray) 
 def labelled_boxes(scene: Scene, view: View, owner: np.ndarray) -> list[dict]:
     """The boxes of one picture as the training reads them.
 
-    A vehicle in full view is a ``vehicle``; one that is half hidden, cut by the picture's edge or too small to tell
-    (under 8 px) is an ``ignore`` region; a hidden one is left out. A lorry is a ``large-vehicle``, cut or not.
+    A vehicle in full view is a ``vehicle``; one that is half hidden, cut by the picture's edge or too small to be
+    recognised (under 8 px) is an ``ignore`` region; a hidden one is left out. A lorry is a ``large-vehicle``, even if
+    it is cut.
     """
     boxes, share = vehicle_boxes(scene.vehicles, view), visible_share(scene.vehicles, view, owner)
     clear = (share > 0.6) & boxes.inside(view.width, view.height) & (boxes.length >= 8)
@@ -82,8 +83,8 @@ def write_labels(
     size: int = 768,
     style: str | None = None,
 ) -> Path:
-    """Write `count` pictures, of scenes of one `style` or any, to ``folder/images``, and ``folder/labels.json``, whose
-    path is returned."""
+    """Write `count` pictures, of scenes of one `style` or of any, to ``folder/images``, and their labels to
+    ``folder/labels.json``; returns the path of that."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     path, entries = folder / "labels.json", []
     for i in range(count):

@@ -1,6 +1,6 @@
-"""Objects that detectors mistake for vehicles, in rows and about as large: panels, boats, graves, garages.
+"""Objects that detectors mistake for vehicles, in rows and of about their size: panels, boats, graves, garages.
 
-Sizes are those of the trade, drawn once for a whole row where real rows are alike.
+Sizes are the usual commercial ones, drawn once for a whole row if real rows are uniform.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Maker = Callable[[np.random.Generator], Thing]
 def panels(rng: np.random.Generator, length: float, width: float) -> Mesh:
     """Solar modules that fill a rectangle about the origin, in tables of rows along x, tilted towards -y or lying flat.
 
-    A module is 1.0 to 1.15 m by 1.6 to 2.3 m, upright or on its side; tables stand apart by their shadow.
+    A module is 1.0 to 1.15 m by 1.6 to 2.3 m, upright or on its side; tilted tables leave room for their shadow.
     """
     module = rng.uniform([1.6, 0.98], [2.3, 1.15])
     a, b = module if rng.random() < 0.6 else module[::-1]  # along and across the row
@@ -89,7 +89,8 @@ def roof_machines(rng: np.random.Generator, length: float, width: float) -> Mesh
 
 
 def lattice(length: float, width: float, a: float, b: float, along: float, across: float) -> np.ndarray:
-    """(N, 2) middles of rectangles `a` by `b` that stand `along` and `across` apart and fill one about the origin."""
+    """(N, 2) centres of rectangles `a` by `b`, spaced by gaps `along` x and `across`, that fill a rectangle `length` by
+    `width` about the origin."""
     nx, ny = (int((room + gap) // (size + gap)) for room, size, gap in ((length, a, along), (width, b, across)))
     x = (np.arange(nx) - (nx - 1) / 2) * (a + along)
     y = (np.arange(ny) - (ny - 1) / 2) * (b + across)
@@ -118,7 +119,7 @@ def crowded_roof(rng: np.random.Generator, length: float, width: float) -> Thing
 
 
 def garages(rng: np.random.Generator, length: float, width: float) -> Thing:
-    """A row along x of garages or carports 2.6 to 3.3 m wide under flat roofs that meet; `width` deep."""
+    """A row along x of adjoining garages or carports with flat roofs, each 2.6 to 3.3 m wide and `width` deep."""
     unit, high = rng.uniform(2.6, 3.3), rng.uniform(2.2, 2.8)
     tone, parts = grey(rng, 0.1, 0.6), []
     count = max(1, int(length / unit))
@@ -131,7 +132,7 @@ def garages(rng: np.random.Generator, length: float, width: float) -> Thing:
     return Thing(join(parts), count * unit, width)
 
 
-# Rows on the ground; each maker returns a maker of things that are alike.
+# Rows on the ground; each function returns a maker of similar things.
 
 
 def graves(rng: np.random.Generator) -> Maker:
@@ -148,7 +149,7 @@ def graves(rng: np.random.Generator) -> Maker:
 
 
 def tents(rng: np.random.Generator) -> Maker:
-    """Tents, or a market's canopies, 2 to 6 m long."""
+    """Tents, or the canopies of a market, 2 to 6 m long."""
     length, width, high = rng.uniform(2.2, 6), rng.uniform(1.8, 3.2), rng.uniform(1.4, 2.6)
     common = rng.random() < 0.5
     cloth = rng.uniform(0.05, 0.7, 3) if rng.random() < 0.6 else grey(rng, 0.6, 0.8)
@@ -174,7 +175,7 @@ def bales(rng: np.random.Generator) -> Maker:
 
 
 def tanks(rng: np.random.Generator) -> Maker:
-    """Tanks: upright ones of 2 to 16 m across, or lying ones of the size of vehicles."""
+    """Tanks: upright ones 2 to 16 m across, or lying ones of the size of vehicles."""
     tone = grey(rng, 0.35, 0.8) if rng.random() < 0.8 else tinted(rng, (0.3, 0.25, 0.2))
     lies, radius = rng.random() < 0.5, np.exp(rng.uniform(*np.log([1.0, 8.0])))
     size = (rng.uniform(3.5, 9), rng.uniform(1.4, 2.6)) if lies else (2 * radius, 2 * radius)
@@ -220,7 +221,7 @@ def boats(_: np.random.Generator) -> Maker:
 
 
 def outlines(rng: np.random.Generator) -> Maker:
-    """Rectangles painted on the ground, as of bays, loading zones and games."""
+    """Rectangles painted on the ground, as for parking bays, loading zones and games."""
     length, width, line = rng.uniform(3, 6), rng.uniform(1.4, 2.8), rng.uniform(0.08, 0.2)
     paint = pick(rng, [(0.62, 0.62, 0.6), (0.55, 0.42, 0.06), (0.5, 0.1, 0.06), (0.1, 0.2, 0.5)])
     filled = rng.random() < 0.3

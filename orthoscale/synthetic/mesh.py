@@ -45,13 +45,13 @@ class Mesh:
 
     @property
     def normal(self) -> np.ndarray:
-        """(F, 3) unit normals, by Newell's sum, which does not mind repeated corners."""
+        """(F, 3) unit normals, by Newell's method, which allows repeated corners."""
         a, b = self.corners, np.roll(self.corners, -1, axis=1)
         n = np.cross(a - a[:, :1], b - a[:, :1]).sum(1)
         return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
 
     def placed(self, x: float, y: float, heading: float = 0.0, z: float = 0.0) -> Mesh:
-        """Turned counter-clockwise by `heading` [rad] about the origin, then moved."""
+        """The mesh rotated counter-clockwise by `heading` [rad] about the origin, then moved."""
         cos, sin = np.cos(heading), np.sin(heading)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         shift = np.array([x, y, z])
@@ -60,7 +60,7 @@ class Mesh:
         )
 
     def owned(self, owner: int) -> Mesh:
-        """The same faces, as parts of vehicle number `owner`."""
+        """The same faces, as parts of the vehicle with the index `owner`."""
         return replace(self, owner=np.full(len(self), owner))
 
 
@@ -140,7 +140,7 @@ def patch(outline: np.ndarray, z: float, material: str, colour: Colour, gloss: f
 def pavement(
     x: tuple[float, float], y: tuple[float, float], z: float, material: str, colour: Colour, piece: float = 8.0
 ) -> Mesh:
-    """An axis-parallel stretch of ground, in pieces so that those behind a camera can be left out.
+    """An axis-parallel rectangle of ground, in pieces so that those behind a camera can be left out.
 
     All pieces share one texture origin.
     """
@@ -199,7 +199,7 @@ def dome(
     ragged: float = 0.14,
     material: str = "leaves",
 ) -> Mesh:
-    """A ragged ellipsoid without its lowest part, of triangles: a bush, a boulder, one bough of a tree."""
+    """An irregular ellipsoid of triangles, without its lowest part: a bush, a boulder, one bough of a tree."""
     polar = np.linspace(0.12, 0.68, rings)[:, None] * np.pi
     azimuth = (np.arange(segments) + 0.5 * np.arange(rings)[:, None]) * 2 * np.pi / segments
     unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
@@ -209,7 +209,7 @@ def dome(
     following = np.roll(shell, -1, axis=1)
     triangles = [np.stack([shell[0], following[0], np.broadcast_to(top, (segments, 3))], 1)]
     for k in range(1, rings):
-        # Every other ring is turned by half a segment, so that the band falls into two rows of triangles.
+        # Each ring is rotated by half a segment, so that the band between two consists of two rows of triangles.
         low, low_next, high, high_next = shell[k], following[k], shell[k - 1], following[k - 1]
         triangles += [np.stack([low, high_next, high], 1), np.stack([low, low_next, high_next], 1)]
     corners = np.concatenate(triangles)

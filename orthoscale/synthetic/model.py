@@ -29,7 +29,7 @@ class SceneToModel:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, metres_per_unit: float) -> SceneToModel:
-        """With the given scale and any rotation and translation, as structure from motion leaves them."""
+        """With the given scale and a random rotation and translation, as from structure from motion."""
         q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
         return cls(metres_per_unit, q * np.sign(np.linalg.det(q)), rng.normal(0, 5, 3))
 
@@ -48,8 +48,8 @@ def flight(
 ) -> list[Pose]:
     """Poses of a drone that flies to and fro over the scene, looking forward at `pitch_deg` below the horizon.
 
-    slope_deg : how much the ground slopes (along +x) under the level flight; the scene keeps z = 0 as its ground, so
-    it is the flight that tilts. Positions and attitudes waver as a drone's do.
+    slope_deg : slope of the ground (along +x) relative to a level flight; the scene's ground stays z = 0, so that the
+    flight is tilted instead. Positions and attitudes vary at random, as a drone's do.
     """
     rng = np.random.default_rng([seed, 5])
     lines = max(1, round(np.sqrt(n_frames)))
@@ -91,10 +91,10 @@ def write_colmap(
 ) -> dict:
     """Write ``folder/images/*.jpg``, the COLMAP model ``folder/sparse`` and ``folder/truth.json``; returns the truth.
 
-    The model's world is turned and moved at random and scaled so that one unit is `metres_per_unit` metres.
+    The model's world is rotated and moved at random, and scaled so that one unit is `metres_per_unit` metres.
     k1 : radial distortion; 0 writes SIMPLE_PINHOLE, else SIMPLE_RADIAL. noise_px : standard deviation of the 2D
-    observations. pictures : False leaves out the images (and their cost) but writes everything else.
-    Boxes in the truth are those of `vehicle_boxes`, with the share of the vehicle that is in sight.
+    observations. pictures : False leaves out the images, which take most of the time, and the boxes of their vehicles.
+    Boxes in the truth are those of `vehicle_boxes`, with the visible share of each vehicle.
     """
     folder = Path(folder)
     (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -154,7 +154,7 @@ def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Loo
 
 
 def _writer(path: Path) -> Callable[[Path, np.ndarray], None]:
-    """What writes a picture with the ending of `path`. Raises UsageError."""
+    """The function that writes a picture with the ending of `path`. Raises UsageError for another ending."""
     if path.suffix.lower() in (".jpg", ".jpeg"):
         return _write_photo
     if path.suffix.lower() == ".png":
@@ -177,7 +177,7 @@ def _vehicles_truth(scene: Scene) -> list[dict]:
 
 
 def _boxes_truth(boxes: Boxes, share: np.ndarray) -> list[dict]:
-    """The boxes that are in sight at all."""
+    """The boxes of vehicles of which more than 5 % is visible."""
     names = ("cx", "cy", "length", "width", "angle")
     return [
         {"vehicle": i, "visible": round(float(share[i]), 3)} | dict(zip(names, boxes.xylwa[i].tolist(), strict=True))
@@ -188,7 +188,7 @@ def _boxes_truth(boxes: Boxes, share: np.ndarray) -> list[dict]:
 def _tie_points(
     scene: Scene, views: Sequence[Perspective], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points on whatever is seen, by three frames or more; by two if there are not `count` of those.
+    """Random points on visible surfaces, seen by three frames or more; by two if there are fewer than `count` of those.
 
     Returns ((P, 3) [m], (P, frames) bool: which frames see which point).
     """
@@ -209,7 +209,7 @@ def _tie_points(
     tracks = np.zeros((len(points), len(views)), bool)
     for k, (view, (ideal, face, planes)) in enumerate(zip(views, seen, strict=True)):
         pixels, place = view.project(points), ideal.project(points)
-        # Far outside the picture a polynomial distortion can fold back into it; the ideal picture does not.
+        # Far outside of the picture, polynomial distortion can fold back into it; the ideal picture has none.
         inside = view.in_front(points) & ((place > 0) & (place < [ideal.width, ideal.height])).all(1)
         inside &= ((pixels > 1) & (pixels < [view.width - 1, view.height - 1])).all(1)
         x, y = place[inside].T

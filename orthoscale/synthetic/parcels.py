@@ -1,4 +1,4 @@
-"""Parcels between streets, and what they are used for."""
+"""Divides the land between streets into parcels, and fills each by its use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LARGEST_PARCEL_M = {"city": 34, "suburb": 26, "village": 24}
 
 
 def divide(site: Site, x: Span, y: Span) -> None:
-    """The land between streets, halved until parcels are small enough, each then put to some use."""
+    """Cut the land between streets in two until parcels are small enough, and fill each by a random use."""
     rng, w, h = site.rng, x[1] - x[0], y[1] - y[0]
     if max(w, h) > 16 and max(w, h) > LARGEST_PARCEL_M.get(site.style, 60) * rng.uniform(0.8, 1.3):
         share = rng.uniform(0.38, 0.62)
@@ -29,7 +29,7 @@ def divide(site: Site, x: Span, y: Span) -> None:
             divide(site, x, (cut, y[1]))
         return
     middle = site.footprint(sum(x) / 2, sum(y) / 2, w, h)[:2]
-    # What lies outside the scene matters only as far as it throws shadows into it.
+    # Parcels outside of the scene matter only if they can cast shadows into it.
     if min(w, h) < 7 or np.abs(middle).max() > site.extent / 2 + np.hypot(w, h) / 2 + 15:
         return
     uses = USES[site.style]
@@ -211,7 +211,7 @@ def _garages(site: Site, x: Span, y: Span) -> None:
 
 
 def _rows(site: Site, x: Span, y: Span) -> None:
-    """Things that are alike, in rows: graves, tents, bales, tanks, bins, containers, boats, painted outlines."""
+    """Similar things in rows: graves, tents, bales, tanks, bins, containers, boats, painted outlines, bushes."""
     rng = site.rng
     site.lay(x, y, 1, pick(rng, [*site.greens, *site.earths, site.concrete, site.asphalt]))
     _row_things(site, pick(rng, list(lookalikes.IN_ROWS))(rng), x, y)
@@ -233,7 +233,7 @@ def _marina(site: Site, x: Span, y: Span) -> None:
 
 
 def _row_things(site: Site, make: lookalikes.Maker, x: Span, y: Span) -> None:
-    """Things of one maker on a lattice over a parcel, some left out, all or none of them out of line."""
+    """Things of one maker on a lattice over a parcel; some places stay empty, and headings may vary."""
     rng, w, h = site.rng, x[1] - x[0] - 2, y[1] - y[0] - 2
     first, turned = make(rng), rng.random() < 0.5
     gaps, stray, share = rng.uniform([0.1, 0.3], [2.5, 4.0]), pick(rng, [0.0, 0.04, 0.2]), rng.uniform(0.5, 1)
@@ -251,7 +251,8 @@ def _building(site: Site, x: float, y: float, w: float, h: float, eaves: float, 
 
 
 def _furnish(site: Site, x: Span, y: Span, trees: float, small: float) -> None:
-    """Spots of other ground, then trees and small things, both per square metre, and perhaps a hedge or fence."""
+    """Add patches of other ground, perhaps a hedge, wall or fence, and trees and small things, both given per square
+    metre."""
     rng, area = site.rng, (x[1] - x[0]) * (y[1] - y[0])
     for _ in range(rng.poisson(area / 250) if trees > 0.002 else 0):
         angle = np.sort(rng.uniform(0, 2 * np.pi, 11))
@@ -271,7 +272,7 @@ def _furnish(site: Site, x: Span, y: Span, trees: float, small: float) -> None:
 
 Use = Callable[[Site, Span, Span], None]
 USES: dict[str, dict[Use, float]] = {
-    # What parcels of a style of scene are used for, with weights.
+    # The uses of parcels in each style of scene, with their weights.
     "city": {_house: 2, _hall: 3, _lot: 3, _green: 1.5, _court: 0.7, _yard: 0.6, _waste: 0.5},
     "suburb": {_house: 6, _lot: 1, _green: 2, _court: 0.5, _hall: 0.5, _waste: 0.3},
     "village": {_house: 4, _waste: 2, _green: 1, _yard: 1, _field: 1, _hall: 0.5, _lot: 0.6},

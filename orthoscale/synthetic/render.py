@@ -1,7 +1,7 @@
-"""Pictures of a scene: a depth buffer that knows for every sample which face it sees, then light on those faces.
+"""Renders pictures of a scene: a depth buffer finds the face that each sample sees, then these faces are lit.
 
 Faces cover exactly the samples whose centres they contain, so that a vehicle in the picture is as long and wide as
-in the truth; a picture is drawn at twice its size and area-shrunk.
+in the truth. A picture is drawn at twice its size and reduced by area averaging.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ LIFT_M, PENUMBRA_M = 0.17, 0.12
 FRAGMENTS_AT_ONCE = 1 << 19
 HAZY_SKY = (0.75, 0.82, 0.9)
 
-# Columns of the table that `_table` makes: what a sample needs to know of its face.
+# Columns of the table from `_table`: the properties of its face that a sample needs.
 NEARNESS = slice(0, 3)
-TEXTURE_U, TEXTURE_V = slice(3, 7), slice(7, 11)  # unit vector in the face, and its product with the origin
+TEXTURE_U, TEXTURE_V = slice(3, 7), slice(7, 11)  # unit vector in the face, and its dot product with the origin
 IN_SUN, IN_SHADE = slice(11, 14), slice(14, 17)  # light, red green blue
 PLAN_NORMAL = slice(17, 19)
-BLOTCHED = slice(19, 20)  # how much the ground's slow change of tone shows
+BLOTCHED = slice(19, 20)  # how much the slow change of tone, `blotch`, shows
 
 
 def surface(mesh: Mesh, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """What each pixel's centre sees.
+    """The face that each pixel's centre sees.
 
-    Returns (face (H, W) int32, index into the mesh, and (F, 3) nearness planes, see `view`). Nothing: -1.
+    Returns face (H, W) int32, index into the mesh, -1 for none; and (F, 3) nearness planes, see `view`.
     """
     corners, normal = mesh.corners, mesh.normal
     shown = view.faces_viewer(normal, corners[:, 0]) & view.in_front(corners).all(1)
@@ -64,9 +64,9 @@ def surface(mesh: Mesh, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spans(pixels: np.ndarray, width: int, height: int) -> Iterator[tuple[np.ndarray, ...]]:
-    """Rows of convex polygons (F, V, 2): yields (polygon, row, first column, length) of spans, in portions.
+    """The pixel rows of convex polygons (F, V, 2): yields (polygon, row, first column, length) of spans, in batches.
 
-    A pixel belongs to a polygon if its centre lies inside; neighbours share no pixel and leave none out.
+    A pixel belongs to a polygon if its centre lies inside; adjacent polygons share no pixel and leave none out.
     """
     top, bottom = pixels[..., 1].min(1), pixels[..., 1].max(1)
     first = np.ceil(top - 0.5).clip(0, height).astype(int)
@@ -107,7 +107,7 @@ def _fill(
     count: np.ndarray,
     width: int,
 ) -> None:
-    """Enter spans of faces into the buffer of (nearness, face) keys; what is nearest stays."""
+    """Enter spans of faces into the buffer of (nearness, face) keys; the nearest face stays."""
     a, b, c = plane.T
     start = (a * (left + 0.5) + b * (row + 0.5) + c).astype(np.float32)
     step = np.arange(count.sum(), dtype=np.int32) - np.repeat((np.cumsum(count) - count).astype(np.int32), count)
@@ -120,9 +120,9 @@ def _fill(
 
 @dataclass(frozen=True)
 class Shade:
-    """What stands between each place and the light, on a grid of `view`.
+    """What hides the light from each place, on the grid of `view`.
 
-    sun : (H, W) [m], the height up to which a place is in shadow. sky : (H, W) [m], heights all around, blurred.
+    sun : (H, W) [m], the height up to which a place is in shadow. sky : (H, W) [m], blurred heights around each place.
     """
 
     view: Ortho
@@ -130,7 +130,7 @@ class Shade:
     sky: np.ndarray
 
     def at(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much of the sun and of the sky (H, W, 1), 0..1, reaches places (H, W) [m]."""
+        """(H, W, 1) shares of the sun's and of the sky's light, 0..1, that reach places (H, W) [m]."""
         cell = self.view.gsd_m
         column = ((x - self.view.x0) / cell - 0.5).astype(np.float32)
         row = ((self.view.y0 - y) / cell - 0.5).astype(np.float32)
@@ -145,7 +145,7 @@ class Shade:
 
 @lru_cache(maxsize=2)
 def shade(scene: Scene) -> Shade:
-    """The scene's map of shadows: the heights from above, smeared away from the sun while falling at its slope."""
+    """The scene's map of shadows: heights seen from above, extended away from the sun while falling at its slope."""
     reach = scene.extent_m / 2 + 20
     cell = max(SHADE_CELL_M, 2 * reach / 2600)
     size = int(2 * reach / cell)
@@ -201,7 +201,7 @@ def light(scene: Scene, view: View) -> tuple[np.ndarray, np.ndarray]:
 def depth(scene: Scene, view: Perspective) -> np.ndarray:
     """(H, W) float64 depth along the optical axis of what each pixel's centre sees [m]; NaN for the sky.
 
-    Of a camera without distortion. Raises ValueError for another.
+    Raises ValueError for a camera with distortion.
     """
     if view.camera.k1:
         raise ValueError("depth is drawn for cameras without distortion")
@@ -213,7 +213,8 @@ def depth(scene: Scene, view: Perspective) -> np.ndarray:
 
 
 def _seen(scene: Scene, view: View) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """The scene's mesh with its endless ground as face 0, and for it what `surface` gives; the ground for nothing."""
+    """The scene's mesh with its infinite ground as face 0, and the result of `surface` for it, with the ground where
+    nothing else is seen."""
     ground = faces(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 1.0, *scene.ground)
     mesh = join([ground, scene.mesh])
     face, planes = surface(mesh, view)
@@ -222,7 +223,7 @@ def _seen(scene: Scene, view: View) -> tuple[Mesh, np.ndarray, np.ndarray]:
 
 
 def _tiled(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A tiling picture between its texels."""
+    """A tiling picture interpolated at `x`, `y` [texels]."""
     size = len(picture)
     x, y = (np.mod(w, size).astype(np.float32) for w in (x, y))
     return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
@@ -252,10 +253,10 @@ def _table(mesh: Mesh, planes: np.ndarray, scene: Scene, view: View) -> np.ndarr
 
 @dataclass(frozen=True)
 class Look:
-    """How a camera turns light into numbers.
+    """How a camera turns light into pixel values.
 
     exposure : factor on the light. balance : (3,) factors on red, green, blue. saturation, contrast : 1 is neutral.
-    haze : share of grey veil. blur_px : standard deviation of the lens and the flight. sharpen : strength of the
+    haze : share of grey veil. blur_px : standard deviation of the blur by lens and motion. sharpen : strength of the
     camera's own sharpening. noise : standard deviation [of 255]. vignette : loss of light in the corners.
     """
 
@@ -271,7 +272,7 @@ class Look:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Look:
-        """One of the many cameras and days."""
+        """A random camera, on a random day."""
         return cls(
             exposure=float(np.exp(rng.normal(0.3, 0.35))),
             balance=tuple(np.exp(rng.normal(0, 0.03, 3)) * [1, 1, 1]),
@@ -293,7 +294,7 @@ class Look:
             x *= 1 - self.vignette / 2 * (gx[None, :, None] ** 2 + gy[:, None, None] ** 2)
         x = x * (1 - self.haze) + 0.45 * self.haze
         x = cv2.GaussianBlur(x, (0, 0), self.blur_px) if self.blur_px > 0.2 else x
-        # A shoulder that keeps highlights from clipping hard, then the display's gamma.
+        # A tone curve whose shoulder keeps highlights from clipping hard, then the display's gamma.
         x = np.sqrt(np.maximum(x * (1 + x / 2.2) / (1 + x), 0)) ** 0.95
         grey = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY)[..., None]
         x = (grey + self.saturation * (x - grey) - 0.45) * self.contrast + 0.45
@@ -310,8 +311,8 @@ def _shrunk(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel sees (H, W) int, -1 for none: at the sample that
-    is right of and below its centre, where there is none."""
+    """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel sees (H, W) int, -1 for none. As a pixel has no
+    sample at its centre, the one to the right and below it counts."""
     rng = np.random.default_rng([seed, 77])
     look = Look.drawn(rng) if look is None else look
     ideal = view.ideal()
@@ -349,10 +350,10 @@ def render_frame(scene: Scene, camera: Camera, pose: Pose, seed: int = 0, look: 
 
 
 def vehicle_boxes(vehicles: tuple[Vehicle, ...], view: View, effective_height_m: float = 0.8) -> Boxes:
-    """The box of every vehicle as a detector draws it, in the order of `vehicles`, whether it is in sight or not.
+    """The box of every vehicle as a detector would draw it, in the order of `vehicles`, whether visible or not.
 
-    Long side along the projected heading, just enclosing the footprint on the ground and the same rectangle at
-    `effective_height_m`. In a true orthophoto that is the footprint.
+    Its long side lies along the projected heading, and it just encloses the footprint on the ground and the same
+    rectangle at `effective_height_m`. In a true orthophoto that is the footprint.
     """
     if not vehicles:
         return Boxes.empty()

@@ -47,14 +47,14 @@ class NormalFleet:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What there is to see.
+    """A scene's content and light.
 
     extent_m : side of the square that the scene fills [m].
     vehicles : the small vehicles, exact.
     lorries : (N, 5) footprints of lorries and buses, centre x, y, length, width [m], heading [rad].
     scenery : everything but the vehicles.
-    ground : what there is where nothing lies on it.
-    sun : (3,) unit vector towards it. sunlight, skylight : (3,) linear light, red green blue.
+    ground : its surface where nothing else lies.
+    sun : (3,) unit vector towards the sun. sunlight, skylight : (3,) linear light, red green blue.
     """
 
     seed: int
@@ -106,7 +106,7 @@ def make_scene(
 
 
 def _parked(site: Site, fleet: SizeSource, count: int) -> tuple[Vehicle, ...]:
-    """Fill slots in random order, then any free ground, leaving out places where a vehicle would touch anything."""
+    """Park vehicles on slots in random order, then on any free ground, except where one would touch anything."""
     rng, half = site.rng, site.extent / 2 - 3.0
     slots = [s for s in site.slots if max(abs(s[0]), abs(s[1])) < half]
     anywhere = rng.uniform(-half, half, (20 * count, 2))

@@ -1,4 +1,4 @@
-"""The ground that a scene is built on: what lies and stands where, and the materials of the place."""
+"""The site on which a scene is built: what lies and stands where, and the local materials."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Span = tuple[float, float]
 
 
 class Site:
-    """A scene in the making.
+    """A scene under construction.
 
-    Streets and parcels are axis-parallel in street coordinates, which are the scene's turned by `turn` [rad]; all
+    Streets and parcels are axis-parallel in street coordinates, which are the scene's rotated by `turn` [rad]; all
     methods take street coordinates, while `parts`, `obstacles`, `slots` and `lorries` are kept in the scene's.
 
-    rng : draws all that is drawn. style : see `scene.STYLES`. extent : side of the scene's square [m].
+    rng : used for all random choices. style : see `scene.STYLES`. extent : side of the scene's square [m].
     """
 
     def __init__(self, rng: np.random.Generator, style: str, extent: float) -> None:
@@ -49,16 +49,16 @@ class Site:
         return np.array([cos * x - sin * y, sin * x + cos * y, length, width, heading + self.turn])
 
     def is_free(self, x: float, y: float, length: float, width: float, heading: float = 0.0) -> bool:
-        """Whether nothing lies there that wants the room for itself."""
+        """Whether the rectangle touches no obstacle."""
         return not overlaps(self.footprint(x, y, length, width, heading), self.obstacles).any()
 
     def add(self, mesh: Mesh, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
-        """Add what needs no room of its own."""
+        """Add a mesh that is no obstacle to others."""
         x, y, _, _, heading = self.footprint(x, y, 0, 0, heading)
         self.parts.append(mesh.placed(x, y, heading))
 
     def put(self, thing: Thing, x: float, y: float, heading: float = 0.0, if_free: bool = True) -> bool:
-        """Add a thing and keep all others off its footprint; not, and False, if something is there already."""
+        """Add a thing, whose footprint becomes an obstacle; returns False and adds nothing if the place is taken."""
         size = thing.length, thing.width
         if if_free and not self.is_free(x, y, *size, heading):
             return False
@@ -77,18 +77,18 @@ class Site:
             self.add(pavement(x, y, 0.001 * layer, *surface))
 
     def somewhere(self, x: Span, y: Span, margin: float) -> tuple[float, float]:
-        """A random place in a parcel, `margin` from its sides or as far as it allows."""
+        """A random place in a parcel, `margin` from its sides or as far as its size allows."""
         mx, my = min(margin, (x[1] - x[0]) / 2), min(margin, (y[1] - y[0]) / 2)
         u, v = self.rng.random(2)
         return x[0] + mx + u * (x[1] - x[0] - 2 * mx), y[0] + my + v * (y[1] - y[0] - 2 * my)
 
     def tree(self, x: float, y: float, radius: float) -> None:
-        """A tree, where its trunk is free."""
+        """Add a tree, if there is room for its trunk."""
         if self.is_free(x, y, 1.3 * radius, 1.3 * radius):  # crowns may meet
             self.put(things.tree(self.rng, radius, self.leaf), x, y, if_free=False)
 
     def lorry(self, x: float, y: float, heading: float) -> None:
-        """A lorry or bus, where there is room."""
+        """Add a lorry or bus, if there is room."""
         thing = things.lorry(self.rng)
         if self.put(thing, x, y, heading):
             self.lorries.append(self.footprint(x, y, thing.length, thing.width, heading))

@@ -1,4 +1,4 @@
-"""Streets through a site: road, pavements, markings, parked and moving vehicles' places, trees."""
+"""Streets through a site: road, pavements, markings, places for parked and moving vehicles, trees."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STREET_SPACING_M = {"city": (40, 75), "suburb": (45, 75), "village": (35, 70)}
 
 
 def lay_streets(site: Site) -> tuple[list[Span], list[Span]]:
-    """Streets both ways through the site; the spans of x and of y [m] that they leave between them."""
+    """Lay streets in both directions through the site; returns the spans of x and of y [m] between them."""
     spacing = STREET_SPACING_M.get(site.style, (60, 110))
     along, upright = _lines(site, *spacing), _lines(site, *spacing)
     rows = _gaps([(y, _street(site, y, width, False)) for y, width in along], site.reach)
@@ -27,7 +27,7 @@ def lay_streets(site: Site) -> tuple[list[Span], list[Span]]:
 
 
 def _lines(site: Site, low: float, high: float) -> list[tuple[float, float]]:
-    """Middles and widths of parallel streets."""
+    """Centre lines and widths of parallel streets."""
     at, lines = -site.reach + site.rng.uniform(0, high), []
     while at < site.reach:
         lines.append((at, pick(site.rng, [6.0, 7.5, 9.0, 11.0, 14.0], [0.25, 0.3, 0.2, 0.15, 0.1])))
@@ -37,8 +37,8 @@ def _lines(site: Site, low: float, high: float) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class _Street:
-    """A street through the whole site, along x or (`upright`) along y, whose middle lies `at` across. Its methods take
-    places along it and across from its middle [m]. walk : width of its pavements."""
+    """A street through the whole site, along x or (`upright`) along y. Its methods take places along it and across from
+    its centre line [m]. at : y, or x, of the centre line. walk : width of its pavements."""
 
     site: Site
     at: float
@@ -59,23 +59,23 @@ class _Street:
         return self.site.road[0].endswith("asphalt")
 
     def somewhere(self, apart: float) -> np.ndarray:
-        """Random places along it, on average `apart` metres from one another."""
+        """Random places along it, about one per `2 * apart` metres."""
         rng = self.site.rng
         return np.asarray(rng.uniform(*self.whole, rng.poisson(self.site.reach / apart)))
 
     def place(self, along: float, across: float, heading: float = 0.0) -> tuple[float, float, float]:
-        """x, y and heading on the site."""
+        """x, y and heading in street coordinates of the site."""
         if self.upright:
             return across + self.at, along, np.pi / 2 - heading
         return along, across + self.at, heading
 
     def lay(self, along: Span, across: Span, layer: int, surface: Surface) -> None:
-        """Cover a rectangle of it."""
+        """Cover a rectangle of the street."""
         across = min(across) + self.at, max(across) + self.at
         self.site.lay(*((across, along) if self.upright else (along, across)), layer, surface)
 
     def pave(self) -> None:
-        """Pavements and road, with repairs and manholes."""
+        """Lay pavements and road, with repairs and manholes."""
         site, rng, half = self.site, self.site.rng, self.half
         if self.paved:
             pavement = pick(rng, [site.concrete, site.stones, site.ground], [0.4, 0.4, 0.2])
@@ -91,7 +91,7 @@ class _Street:
             site.add(patch(disc(0.33), 0.005, "plain", (0.05, 0.05, 0.05)), x, y)
 
     def mark(self, lane: float) -> None:
-        """Dashes along the middle, perhaps lines where the lanes end, `lane` from the middle, and zebra crossings."""
+        """Paint dashes along the centre line, perhaps edge lines `lane` from it, and zebra crossings."""
         rng, half = self.site.rng, self.half
         dash, gap = pick(rng, [(3.0, 4.5), (2.0, 4.0), (4.0, 8.0)])
         for s in np.arange(*self.whole, dash + gap):
@@ -104,7 +104,7 @@ class _Street:
                 self.lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARKING)
 
     def park_along(self, side: int, pitch: float, lane: float, marked: bool) -> None:
-        """Places for vehicles one behind the other, every `pitch`."""
+        """Offer places for vehicles one behind the other, every `pitch` metres."""
         rng, half = self.site.rng, self.half
         for s in np.arange(-self.site.reach + rng.uniform(0, pitch), self.site.reach, pitch):
             self.site.offer(*self.place(s, side * (half - 1.05)), pitch - 0.7)
@@ -113,7 +113,7 @@ class _Street:
                 self.lay((s - 0.05, s + 0.05), (side * lane, side * half), 4, MARKING)
 
     def park_across(self, side: int, marked: bool) -> None:
-        """Bays for vehicles side by side."""
+        """Lay and offer bays for vehicles side by side."""
         half, bays = self.half, (side * self.half, side * (self.half + 5.2))
         self.lay(self.whole, bays, 2, self.site.road if self.site.rng.random() < 0.6 else self.site.stones)
         for s in np.arange(*self.whole, 2.6):
@@ -122,7 +122,7 @@ class _Street:
                 self.lay((s + 1.25, s + 1.35), bays, 4, MARKING)
 
     def plant(self, side: int) -> None:
-        """Trees along it."""
+        """Plant trees along one side."""
         rng = self.site.rng
         for s in np.arange(*self.whole, rng.uniform(9, 16)):
             if rng.random() < 0.6:
@@ -156,6 +156,6 @@ def _street(site: Site, at: float, width: float, upright: bool) -> float:
 
 
 def _gaps(lines: Sequence[tuple[float, float]], reach: float) -> list[Span]:
-    """The intervals between streets, given as their middles and widths."""
+    """The intervals between streets, whose centre lines and widths are `lines`."""
     edges = [-reach, *(e for at, width in lines for e in (at - width / 2, at + width / 2)), reach]
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 8]

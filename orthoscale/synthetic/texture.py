@@ -60,9 +60,9 @@ def fractal(rng: np.random.Generator, slope: float, size: int = TEXTURE_SIZE, co
 
 
 def _grid(u_m: float, v_m: float, texel: float, shift: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Cells of about u_m x v_m that fit the picture: (column, row, place in the cell along u, along v; 0..1).
+    """Cells of about u_m x v_m that tile the picture: (column, row, place in the cell along u, along v; 0..1).
 
-    shift : by how much of a cell every other row is moved.
+    shift : share of a cell by which every other row is moved.
     """
     nu, nv = (2 * max(1, round(TEXTURE_SIZE * texel / m / 2)) for m in (u_m, v_m))
     t = np.arange(TEXTURE_SIZE) / TEXTURE_SIZE
@@ -77,13 +77,13 @@ def _per_cell(rng: np.random.Generator, column: np.ndarray, row: np.ndarray, spr
 
 
 def _lines(place: np.ndarray, width: float) -> np.ndarray:
-    """1 on the seam between cells, 0 elsewhere; `width` is a part of the cell."""
+    """1 on the seam between cells, 0 elsewhere; `width` is a share of the cell."""
     return (np.abs(place - 0.5) > 0.5 - width / 2).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class _Noise:
-    """What materials are painted with: noise (SIZE, SIZE) from texel to texel (`white`) to the slowest, and `rng`."""
+    """Ingredients of materials: noise (SIZE, SIZE) from independent texels (`white`) to the smoothest, and `rng`."""
 
     rng: np.random.Generator
     texel: float
@@ -255,7 +255,7 @@ PAINTERS: dict[str, Painter] = {
 
 @cache
 def _levels(name: str) -> tuple[np.ndarray, ...]:
-    """The texture as float32 (s, s, 3) with mean 1, and its area-shrunk half sizes down to 1 texel."""
+    """The texture as float32 (s, s, 3) with mean 1, and its mipmaps: each half the size, down to 1 texel."""
     noise = _Noise.drawn(np.random.default_rng(MATERIALS.index(name)), TEXEL_M[name])
     picture = np.asarray(PAINTERS[name](noise), np.float32)
     picture = picture[..., None] if picture.ndim == 2 else picture
@@ -276,7 +276,7 @@ def blotch() -> np.ndarray:
 
 
 def atlas(sample_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All materials, each shrunk until a texel is about as large as a sample of the picture (`sample_m` [m]).
+    """All materials, each reduced until a texel is about as large as a sample of the picture (`sample_m` [m]).
 
     Returns (texels (T, 3) float32, and per material: offset of its first texel, side in texels, texels per metre).
     """

@@ -1,4 +1,4 @@
-"""Objects of a scene besides vehicles, many of them chosen because detectors mistake them for one."""
+"""Objects of a scene besides vehicles, many of them chosen because detectors mistake them for vehicles."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PANEL = (0.02, 0.03, 0.06)
 
 @dataclass(frozen=True)
 class Thing:
-    """Something about the origin that keeps a rectangle of `length` (along x) by `width` [m] to itself."""
+    """An object at the origin that occupies a rectangle of `length` (along x) by `width` [m]."""
 
     mesh: Mesh
     length: float
@@ -45,7 +45,7 @@ def grey(rng: np.random.Generator, low: float, high: float) -> np.ndarray:
 
 
 def tinted(rng: np.random.Generator, colour: Colour, tone: float = 0.35, hue: float = 0.12) -> np.ndarray:
-    """(3,) a colour lighter or darker by up to the part `tone`, its channels drifting apart by up to `hue`."""
+    """(3,) a colour lighter or darker by up to the share `tone`, each channel changed by up to the share `hue`."""
     return np.asarray(colour, float) * rng.uniform(1 - tone, 1 + tone) * rng.uniform(1 - hue, 1 + hue, 3)
 
 
@@ -148,7 +148,7 @@ def _on_roof(rng: np.random.Generator) -> Mesh:
 
 
 def tree(rng: np.random.Generator, radius: float, leaf: np.ndarray) -> Thing:
-    """A bush (below 1.2 m), a conifer, or a trunk with ragged boughs; leaves vary about the colour `leaf`."""
+    """A bush (radius below 1.2 m), a conifer, or a trunk with irregular boughs; leaves vary about the colour `leaf`."""
     tone = leaf * rng.uniform(0.6, 1.5) * rng.uniform([0.85, 0.9, 0.8], [1.4, 1.05, 1.2])
     if rng.random() < 0.04:
         tone = np.array(pick(rng, [(0.3, 0.18, 0.03), (0.25, 0.07, 0.03), (0.16, 0.03, 0.05)]))
@@ -213,7 +213,7 @@ def boat(rng: np.random.Generator) -> Thing:
 
 
 def lorry(rng: np.random.Generator) -> Thing:
-    """A bus or a lorry, heading +x: too large to be the vehicle that is looked for."""
+    """A bus or a lorry, heading +x: larger than the vehicles that are measured."""
     paints = [(0.7, 0.7, 0.7), (0.1, 0.2, 0.45), (0.45, 0.05, 0.04), (0.5, 0.42, 0.08), (0.1, 0.3, 0.12)]
     paint: Surface = ("paint", pick(rng, paints))
     if rng.random() < 0.45:
@@ -231,7 +231,7 @@ def lorry(rng: np.random.Generator) -> Thing:
     length, width, cab = rng.uniform(6.5, 11), 2.45, 2.0
     bed = rectangle(length - cab - 0.3, width) + [-(cab + 0.3) / 2, 0]
     front = rounded(cab, width - 0.1, 0.2, 0.05) + [(length - cab) / 2, 0]
-    if rng.random() < 0.4:  # a tipper with its load in sight
+    if rng.random() < 0.4:  # a tipper with a visible load
         load: Surface = ("rubble", (0.25, 0.19, 0.12))
         height, sides = rng.uniform(1.6, 2.0), paint
     else:

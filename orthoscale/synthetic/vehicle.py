@@ -1,4 +1,4 @@
-"""Vehicles: a full footprint up to the belt line, a narrower cabin above, and what makes them look like cars."""
+"""Vehicles: a full footprint up to the belt line, a narrower cabin above, and details that make them look like cars."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHROME = (0.55, 0.56, 0.58)
 RED = (0.3, 0.01, 0.01)
 
 PAINTS = (
-    # Share, then linear albedo: roughly what is on the road (white, black, grey, silver, blue, red, others).
+    # Share, then linear albedo: roughly as on the roads (white, black, grey, silver, blue, red, others).
     (0.26, (0.72, 0.72, 0.70)),
     (0.17, (0.012, 0.012, 0.013)),
     (0.13, (0.09, 0.095, 0.10)),
@@ -31,17 +31,17 @@ PAINTS = (
     (0.01, (0.55, 0.16, 0.02)),
 )
 
-# Bumpers and doors lean inwards and lie in dirt and shade, so that real vehicles end softly. Measured by eye on
+# Bumpers and doors lean inwards and are dirty and shaded, so that real vehicles have soft edges. Measured by eye on
 # pictures (training/by_hand.py), real ones of known mean size came out right, and those rendered with a shoulder of
-# 0.22 m at 0.4 of the albedo 3 % small.
+# 0.22 m at 0.4 of the albedo came out 3 % too small.
 SHOULDER = 0.13  # [m] from the footprint's edge to the decks
-SHOULDER_SHADE = 0.45, 0.9  # of the paint's albedo, least and most
+SHOULDER_SHADE = 0.45, 0.9  # least and largest share of the paint's albedo
 
-# Bumpers reach furthest about here (49 CFR 581 hits them at 0.41 to 0.51 m); sills lie so high [m].
+# [m] Height at which bumpers reach furthest (49 CFR 581 tests them at 0.41 to 0.51 m), and height of the sills.
 TUCKED_BELOW, SILL = 0.45, 0.18
 
 CABINS = {
-    # Where the rear window and the windscreen begin and end, in parts of the length from the rear bumper.
+    # Where the rear window and the windscreen begin and end, as shares of the length from the rear bumper.
     "sedan": (0.15, 0.28, 0.56, 0.73),
     "hatch": (0.02, 0.10, 0.55, 0.73),
     "estate": (0.02, 0.08, 0.57, 0.72),
@@ -53,12 +53,12 @@ CABINS = {
 
 @dataclass(frozen=True)
 class Bed:
-    """What a pickup has behind its cab.
+    """The bed of a pickup, behind its cab.
 
     share : of the length, from the rear bumper to the cab: about 0.3 behind two rows of doors, 0.42 behind one.
     cover : None for an open bed; else the albedo of a lid at the rim, or of a cap as high as the cab.
     cap : whether the cover is a cap. floor : albedo of an open bed's floor and walls.
-    depth : of that floor below the rim [m]; at 0 it is drawn on the deck. loads : things that lie in it.
+    depth : of that floor below the rim [m]; at 0 it is drawn on the deck. loads : number of things that lie in it.
     """
 
     share: float = 0.39
@@ -78,9 +78,9 @@ class Vehicle:
     """One vehicle on the ground z = 0.
 
     x, y : centre of the footprint [m]. heading : of its front, counter-clockwise from +x [rad].
-    length, width, height : [m], without mirrors, as fleets count them.
+    length, width, height : [m], without mirrors, as in fleets.
     shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
-    bumpers : albedo of what stands out at the rear and at the front, where it is not painted.
+    bumpers : albedo of the rear and the front bumper, None if painted like the body.
     bed : of a pickup. tucked : how far ends and sides recede from TUCKED_BELOW down to the sills [m].
     """
 
@@ -100,7 +100,7 @@ class Vehicle:
 
     @property
     def belt(self) -> float:
-        """Height of the decks before the cabin [m]; the hull fills the footprint up to 0.7 of it."""
+        """Height of bonnet and boot where they meet the cabin [m]; the hull fills the footprint up to 0.7 of it."""
         return float(np.clip(0.56 * self.height, 0.7, 1.05))
 
     @property
@@ -176,7 +176,7 @@ class Vehicle:
         return at_height(outline * (1 - 2 * share * np.array(self.tucked) / (self.length, self.width)), z)
 
     def _wheels(self) -> list[Mesh]:
-        """Tyres and rims, as discs a few millimetres outside the body's sides, or half as far in as these recede."""
+        """Tyres and rims, as discs a few millimetres outside the body's sides, set in by half of what these recede."""
         half = self.width / 2 - self.tucked[1] / 2
         parts = []
         for axle in (-0.30 * self.length, 0.31 * self.length):
@@ -204,11 +204,11 @@ class Vehicle:
         return decks + parts
 
     def _bed(self, rng: np.random.Generator, plan: np.ndarray, paint: np.ndarray) -> list[Mesh]:
-        """A pickup's bed over `plan` (4, 2), counter-clockwise: its floor with what lies in it, or its cover."""
+        """A pickup's bed over `plan` (4, 2), counter-clockwise: its floor with its load, and its cover."""
         bed, parts = self.bed, []
         bottom = self.belt - bed.depth
         if bed.depth:
-            # Of the clockwise ring the walls look inwards.
+            # The ring is clockwise, so that the walls face inwards.
             parts = [loft(at_height(plan[::-1], bottom), at_height(plan[::-1], self.belt), "paint", bed.floor)]
         parts.append(patch(plan, bottom + 0.012, "corrugated", bed.floor))
         low, high = plan.min(0), plan.max(0)
@@ -241,7 +241,7 @@ class Vehicle:
             faces(crown, "paint", top, 0.6),
             loft(rim, crown, "paint", top, 0.8),
         ]
-        # Side of the cabin (right, front, left, rear), from and to along it, frame below and above; parts of 1.
+        # Side of the cabin (right, front, left, rear), begin and end along it, frame below and above; as shares.
         panes = [(1, 0.07, 0.93, 0.05)]
         if self.shape == "van" and rng.random() < 0.5:  # a cargo van: glass beside the front seats only
             panes += [(0, 0.80, 0.96, 0.12), (2, 0.04, 0.20, 0.12)]
@@ -278,7 +278,7 @@ class Vehicle:
 
 
 def _pane(quad: np.ndarray, along: tuple[float, float], edge: float) -> Mesh:
-    """Glass set 8 mm in front of a cabin side; `along` and `edge` are parts of its first edge and of its rise."""
+    """Glass set 8 mm in front of a cabin side; `along` and `edge` are shares of its first edge and of its height."""
     a, b, c, d = quad
     points = np.array(
         [(1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
@@ -303,7 +303,7 @@ def between(plan: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def around(plan: np.ndarray, hole: np.ndarray) -> list[np.ndarray]:
-    """What is left of a convex plan (n, 2) about a rectangle (4, 2) along the axes: before, beside and behind it."""
+    """The parts of a convex plan (n, 2) around an axis-parallel rectangle (4, 2): behind, on both sides and ahead."""
     (x0, y0), (x1, y1) = hole.min(0), hole.max(0)
     middle = between(plan, x0, x1)[:, ::-1]
     beside = [between(middle, low, high)[:, ::-1] for low, high in ((-np.inf, y0), (y1, np.inf))]

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: an orthophoto's grid or a pinhole camera. Both map metres to pixels and back.
+"""Views: an orthophoto's grid or a pinhole camera. Both map metres to pixels and back.
 
 Pixel coordinates have x right, y down and (0, 0) at the outer corner of the first pixel, as in COLMAP and GDAL.
 `nearness` is any number that grows towards the viewer and is linear in the pixel coordinates over a flat face: height
@@ -79,14 +79,14 @@ class Camera:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera is. `rotation` (3, 3) turns world into camera axes (x right, y down, z forward); `centre` [m]."""
+    """A camera's pose. `rotation` (3, 3) from world to camera axes (x right, y down, z forward); `centre` (3,) [m]."""
 
     rotation: np.ndarray
     centre: np.ndarray
 
     @classmethod
     def looking(cls, centre: np.ndarray, yaw: float, pitch: float, roll: float = 0.0) -> Pose:
-        """Towards `yaw` (counter-clockwise from +x) and `pitch` below the horizon (pi/2: straight down) [rad]."""
+        """Looking towards `yaw` (counter-clockwise from +x), `pitch` below the horizon (pi/2: straight down) [rad]."""
         forward = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
         right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
         down = np.cross(forward, right)
@@ -141,7 +141,7 @@ class Perspective:
         return (points - self.pose.centre) @ self.pose.rotation.T
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) [m] to (..., 2) [px]; only points before the camera have a meaningful result."""
+        """(..., 3) [m] to (..., 2) [px]; only points in front of the camera have a meaningful result."""
         p = self.in_camera(points)
         plane = p[..., :2] / np.where(np.abs(p[..., 2:]) < 1e-9, 1e-9, p[..., 2:])
         radial = 1 + self.camera.k1 * (plane**2).sum(-1, keepdims=True)

@@ -17,7 +17,7 @@ _budget = DEFAULT
 
 
 def memory() -> int:
-    """[byte] the budget."""
+    """The budget [byte]."""
     return _budget
 
 
@@ -31,7 +31,7 @@ def allow(amount: int | str) -> None:
 
 
 def require(needed: float, what: str) -> None:
-    """Raises InputError where `what`, the subject of a sentence, needs more than the budget: `needed` [byte]."""
+    """Raise InputError if `needed` [byte] exceeds the budget. what : what needs it, as the subject of a sentence."""
     if needed > _budget:
         raise InputError(
             f"{what} needs {in_words(needed)} of memory, and {in_words(_budget)} are allowed",

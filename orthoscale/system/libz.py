@@ -13,9 +13,9 @@ import sys
 
 
 def settle() -> None:
-    """Load the system's libz before pycolmap does; if that is too late, a copy of it that is bound to itself.
+    """Load the system's libz before pycolmap does; if it is too late for that, load a copy that is bound to itself.
 
-    What was imported between pycolmap and this keeps the broken one.
+    Modules imported between pycolmap and this call keep the broken one.
     """
     loaded = list(sys.modules)
     if "pycolmap" in loaded and "zlib" not in loaded[: loaded.index("pycolmap")] and hasattr(os, "memfd_create"):
@@ -24,7 +24,7 @@ def settle() -> None:
 
 
 def _load_a_copy() -> None:
-    """The loader knows a library by its file: a copy has scopes of its own, and being global it is found first."""
+    """The loader identifies a library by its file: a copy gets a scope of its own and, being global, is found first."""
     try:
         with open("/proc/self/maps") as maps:
             path = next(line.split()[-1] for line in maps if "/libz.so" in line)

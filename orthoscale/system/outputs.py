@@ -1,10 +1,10 @@
 """The transaction in which a command writes its outputs: all of them whole, or none, and never over an input.
 
-Refused before any work is done: an output that is, contains or lies in an input, under whatever name; that belongs to
-an input, as a world file does; that is also another output of the command; that another run is writing; or that exists,
-unless it may be overwritten and orthoscale wrote it under this very name. Outputs are written to temporary names and
-all of a command are renamed into place together: no file that appeared meanwhile is replaced, and on any error,
-SIGTERM, SIGHUP and Ctrl-C included, everything is as it was. Leftovers of a killed run are removed by the next one.
+Before any work is done, an output is refused if it is, contains or lies in an input, under whatever name; if it would
+belong to an input, as a world file does; if it is also another output of the command; if another run is writing it; or
+if it exists, unless it may be overwritten and orthoscale wrote it under this very name. Outputs get temporary names,
+and those of a command are renamed into place together: no file that appeared meanwhile is replaced, and on any error,
+including SIGTERM, SIGHUP and Ctrl-C, everything is as it was. The next run removes the leftovers of a killed one.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from .untouched import existing, inside, refuse_input
 
 ELSEWHERE = "Choose another place, or delete it yourself."
 REPLACE = "Choose another place, or pass --overwrite to replace it."  # only of what orthoscale wrote
-DISK = (OSError, sqlite3.Error)  # what a disk that is full, gone or read-only raises
+DISK = (OSError, sqlite3.Error)  # errors due to a disk that is full, gone or read-only
 
 
 class Outputs:
-    """The outputs of one command, as a context: in their places at its end, or on an error as if it had not run.
+    """The outputs of one command, as a context manager: at its end they are in place; on an error, all is as before.
 
-    overwrite : replace what orthoscale wrote before. inputs : what `existing` takes. dry_run : only check the outputs,
-    and leave all as it was.
-    problems : what `attempt` could not write, by the reason.
+    overwrite : replace what orthoscale wrote before. inputs : the command's inputs, as for `existing`. dry_run : only
+    check the outputs, and change nothing.
+    problems : names of what `attempt` could not write, by reason.
     Raises UsageError for an output that is refused, OutputError for one that cannot be written. An OSError from the
     block becomes an InputError if it names a file that is none of the outputs, else an OutputError.
     """
@@ -46,35 +46,36 @@ class Outputs:
         self._claims: list[Reserved] = []
 
     def file(self, path: Path, mine: Callable[[Path], bool] | None = None) -> Path:
-        """Where to write the file that is to be `path`; it has the same name.
+        """The temporary path, with the same name, at which to write the file that will be moved to `path`.
 
-        mine : whether the file that is there now is orthoscale's, for formats that have no room for a `signature`.
-        JSON, HTML, PNG and GeoPackage files are signed at the end; writers of TIFF and text do it themselves.
+        mine : whether orthoscale wrote the file that is there now, for formats that have no room for a `signature`.
+        JSON, HTML, PNG and GeoPackage files are signed at the end; writers of TIFF and text sign them themselves.
         """
         return self._claim(path, mine, folder=False).partial
 
     def folder(self, path: Path) -> Path:
-        """An empty folder to write what is to be in the folder `path`."""
+        """An empty temporary folder, which will be moved to `path`."""
         partial = self._claim(path, None, folder=True).partial
         with writing(path):
             partial.mkdir()
         return partial
 
     def retire(self, path: Path, mine: Callable[[Path], bool] | None = None) -> None:
-        """Remove at the end what orthoscale wrote at `path` and what would speak for the new output; others' stays."""
+        """Remove at the end an older output of orthoscale at `path`, which would be taken for a part of the new one;
+        files of others stay."""
         if self.overwrite and os.path.lexists(path) and not why_not_ours(path, mine):
             self._claim(path, mine, folder=path.is_dir()).retired = True
 
     def protect(self, *inputs: Path) -> None:
-        """More inputs, found while opening those that were given. Raises UsageError."""
+        """Protect more inputs, found while opening the given ones. Raises UsageError if an output touches them."""
         for path in inputs:
             for claim in self._claims:
                 refuse_input(claim.path, path)
 
     @contextmanager
     def attempt(self, partial: Path, what: str) -> Iterator[None]:
-        """Write `partial`, an output or a file in one. If that fails it is left out, said in `problems`, and the other
-        outputs are delivered all the same."""
+        """A block that writes `partial`, an output or a file in one. If it fails, that is left out and noted in
+        `problems`, and the other outputs are delivered all the same. what : its name for the user."""
         try:
             yield
         except Exception as error:
@@ -89,12 +90,12 @@ class Outputs:
                 claim.failed |= claim.partial == partial
 
     def missing(self) -> str:
-        """What `attempt` could not write and why, as a part of a sentence; '' where all is there."""
+        """What `attempt` could not write and why, as a part of a sentence; '' if nothing failed."""
         return "; ".join(f"{', '.join(names)} could not be written ({why})" for why, names in self.problems.items())
 
     @property
     def places(self) -> list[Path]:
-        """Where the outputs are to be that were claimed, in that order."""
+        """The final paths of the outputs, in the order in which they were claimed."""
         return [claim.path for claim in self._claims if not claim.retired]
 
     def __enter__(self) -> Outputs:
@@ -120,13 +121,14 @@ class Outputs:
                     claim.release()
 
     def _named_by_place(self, text: str) -> str:
-        """`text` with the outputs that are not in their places yet named as the user named them."""
+        """`text` with temporary paths of outputs replaced by the paths that the user gave."""
         for claim in self._claims:
             text = text.replace(shown(claim.partial, LONGEST_MESSAGE), shown(claim.path, LONGEST_MESSAGE))
         return text
 
     def _said(self, error: Exception) -> OrthoscaleError:
-        """An error of a disk in our words: about an input, if it names a file that is none of the outputs."""
+        """The error for a disk error: an InputError if that names a file that is none of the outputs, else an
+        OutputError."""
         name, reason = getattr(error, "filename", None), getattr(error, "strerror", None) or error
         if isinstance(name, (str, bytes)) and not any(claim.concerns(name) for claim in self._claims):
             return InputError(f"{os.fsdecode(name)}: cannot be read ({reason})", "Check the file and its permissions.")
@@ -134,8 +136,8 @@ class Outputs:
         return OutputError(f"{place}: writing failed ({reason})", "Nothing was left behind.")
 
     def check(self, path: Path, mine: Callable[[Path], bool] | None = None) -> tuple[int, ...] | None:
-        """Refuse early what `file` or `folder` would refuse; returns the identity of what is to be replaced, None where
-        there is nothing. Raises UsageError, OutputError."""
+        """Refuse early what `file` or `folder` would refuse; returns the identity of what will be replaced, None if
+        nothing is there. Raises UsageError, OutputError."""
         for given in self._inputs:
             refuse_input(path, given)
         for other in self._claims:
@@ -176,7 +178,7 @@ class Outputs:
         return claim
 
     def deliver(self, partial: Path) -> None:
-        """Put the output written at `partial` in its place now, whatever becomes of the others."""
+        """Move the output written at `partial` into place now, whatever happens to the others."""
         (claim,) = (claim for claim in self._claims if claim.partial == partial)
         self._put([claim])
         with stopping.held():
@@ -184,13 +186,13 @@ class Outputs:
             claim.release()
 
     def _put(self, claims: list[Reserved]) -> None:
-        """In their places, all or none; the one claimed first, the main output, last."""
+        """Move the outputs into place, all or none; the one claimed first, the main output, last."""
         written = [claim for claim in reversed(claims) if not (claim.retired or claim.failed)]
         for claim in written:
             claim.sign()
             claim.flush()
         stopping.check()
-        # What would speak falsely for the new output goes when that is there.
+        # Old files that would be taken for parts of the new output are removed once that is in place.
         changes = [*written, *(claim for claim in claims if claim.retired or claim.failed)]
         done: list[Reserved] = []
         with stopping.held():
@@ -202,5 +204,5 @@ class Outputs:
                 for claim in reversed(done):
                     claim.undo()
                 raise
-            # What lies in another output's scratch folder goes with that, and is there when that is.
+            # Outputs in another output's scratch folder are moved with that one, and are not listed.
             stopping.written.extend(str(claim.path) for claim in written if not claim.in_another)

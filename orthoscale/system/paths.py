@@ -1,4 +1,4 @@
-"""Paths as callers of the library give them: text or `Path`, nothing that only happens to pass for one; and links."""
+"""Checks the paths that callers of the library give, and resolves names and links."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from ..errors import UsageError, shown
 
 
 def path_of(value: object, what: str) -> Path:
-    """`value` as a path; `what` was expected, for the message ("the path of a fleet").
+    """`value` as a path. what : what was expected, for the message ("the path of a fleet").
 
-    Raises UsageError for what is no path: a number, which the system takes for an open file; nothing; an empty text,
-    which would be the current folder; a zero byte.
+    Raises UsageError for anything but text or a path: a number, which the system would take for an open file, or None;
+    for an empty text, which would mean the current folder; and for a zero byte.
     """
     if isinstance(value, (str, os.PathLike)):
         text = os.fspath(value)
@@ -32,20 +32,20 @@ def paths_of(values: object, what: str) -> list[Path]:
 
 
 def homes(folder: Path) -> list[Path]:
-    """Where `folder` lies, absolute: as it is named, and where that leads if there is a link in it. What belongs to it
-    may lie beside either."""
+    """The absolute paths of `folder`, as given and with links resolved, if they differ. Files that belong to it may lie
+    beside either."""
     return list(dict.fromkeys((absolute(folder), Path(os.path.realpath(folder)))))
 
 
 def name_of(path: str | Path, folder: str | Path = "") -> str:
-    """What the file or folder at `path`, from `folder` on, is called, also where it is given as ``.`` or ``..``."""
+    """The name of the file or folder at `path`, relative to `folder`, even if it is given as ``.`` or ``..``."""
     name = Path(path).name
     return name if name not in ("", os.pardir) else absolute(Path(folder, path)).name or str(path)
 
 
 def absolute(path: str | Path) -> Path:
-    """`path` from the root on and without ``..``, leading to the same place; links keep their names, but for those that
-    a ``..`` follows: it leads out of the folder behind the link, and not out of the one that the link lies in."""
+    """`path` as an absolute path without ``..``. Links are kept, except before a ``..``, where they are resolved: it
+    leads to the parent of the folder behind the link, not of the link itself."""
     parts = Path(path).absolute().parts
     if os.pardir not in parts:
         return Path(*parts)

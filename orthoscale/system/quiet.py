@@ -1,4 +1,4 @@
-"""Standard streams: suppresses what C libraries print of their own accord (libpng, libjpeg, COLMAP's log)."""
+"""Standard streams: opens closed ones, and suppresses what C libraries print (libpng, libjpeg, COLMAP's log)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from contextlib import contextmanager
 
 
 def open_streams() -> None:
-    """Streams that a scheduler or shell closed (``>&-``) lead nowhere from now on. Python has None for them, and the
-    next files to be opened would get their descriptors, with what C libraries print in them."""
+    """Connect standard streams that a scheduler or shell closed (``>&-``) to the null device. Otherwise Python has None
+    for them, and the next files opened would get their descriptors, and in them what C libraries print."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor: this one
             os.set_inheritable(descriptor, True)
     sys.stdin = sys.stdin or open(os.devnull, encoding="utf-8")  # noqa: SIM115
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
@@ -24,20 +24,20 @@ def open_streams() -> None:
 
 @contextmanager
 def unheard() -> Iterator[None]:
-    """In the block the descriptor of standard error leads nowhere; Python's `sys.stderr` goes where it always went.
+    """In the block, standard error's descriptor leads to the null device, but Python's `sys.stderr` still works.
 
-    For the command line: the descriptor is the whole process's. Redirecting it around single calls would lose what
-    other threads say meanwhile.
+    For the command line, where it covers the whole run: the descriptor is shared by the process, so that redirecting it
+    around single calls would lose what other threads print meanwhile.
     """
     try:
         kept = os.dup(2)
-    except OSError:  # there is none to be heard on
+    except OSError:  # standard error is closed
         yield
         return
     python, unraisable = sys.stderr, sys.unraisablehook
     sys.unraisablehook = lambda _: None  # of a library's callback, such as rasterio's for GDAL's log
     if _is_the_descriptor(python):
-        # Not closed at the end: handlers of logs keep it.
+        # Not closed at the end: logging handlers keep a reference to it.
         sys.stderr = open(kept, "w", buffering=1, encoding=python.encoding, errors=python.errors)  # noqa: SIM115
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

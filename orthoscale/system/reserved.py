@@ -1,4 +1,4 @@
-"""The place of one output: locked against other runs, with a scratch folder beside it, and renamed into at the end."""
+"""The place of one output: it is locked against other runs, and filled at the end from a scratch folder beside it."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ try:
 except ImportError:  # not POSIX
     fcntl = None
 
-FLUSHED = os.O_RDWR if os.name == "nt" else os.O_RDONLY  # how a file is opened to be flushed; it may be read-only
+FLUSHED = os.O_RDWR if os.name == "nt" else os.O_RDONLY  # mode in which a file, perhaps read-only, is opened to flush
 SCRATCH = ".partial"  # ending of the scratch folder beside an output
-LOCK, NEW, FORMER = "lock", "new", "former"  # in that folder
+LOCK, NEW, FORMER = "lock", "new", "former"  # names in the scratch folder
 
 NOREPLACE, EXCHANGE = 1, 2  # flags of renameat2(2)
 _AT_FDCWD = -100
 _NOT_HERE = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # no renameat2, or not on this file system
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # some network drives have none
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # some network drives have no locks
 
 
 class Reserved:
     """One output: its place, locked against other runs, and a scratch folder beside it.
 
-    before : identity of what is to be replaced, None where there is nothing.
+    before : identity of what will be replaced, None if nothing is there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,12 +56,12 @@ class Reserved:
 
     @property
     def in_another(self) -> bool:
-        """Whether it is written as a part of another output, which is not in its place yet."""
+        """Whether it lies in the scratch folder of another output."""
         folders = self.path.absolute().parents
         return any(folder.name == NEW and folder.parent.suffix == SCRATCH for folder in folders)
 
     def concerns(self, name: str | bytes) -> bool:
-        """Whether an error about the file `name` is one about this output."""
+        """Whether the file `name`, from an error, belongs to this output."""
         return inside(Path(os.fsdecode(name)), self.scratch) or inside(Path(os.fsdecode(name)), self.path)
 
     def sign(self) -> None:
@@ -72,8 +72,8 @@ class Reserved:
             sign_file(self.partial)
 
     def flush(self) -> None:
-        """Wait until all is on the disk: only then a network drive says that it is full, and what takes the place of a
-        former output is whole after a failure of the power."""
+        """Wait until all is on the disk: a network drive reports only then that it is full, and a former output must
+        not be replaced by files that a power failure could leave incomplete."""
         within = (Path(root) / name for root, _, files in os.walk(self.partial) for name in files)
         for path in within if self.partial.is_dir() else [self.partial]:
             if path.is_symlink():
@@ -85,7 +85,8 @@ class Reserved:
                 os.close(file)
 
     def place(self) -> None:
-        """Put what was written, or nothing, in its place. Raises UsageError if that was changed meanwhile."""
+        """Move what was written into place; or remove what is there, if this output is retired or failed. Raises
+        UsageError if the place was changed meanwhile."""
         if identity(self.path) != self.before or (self.path.is_dir() and why_not_ours(self.path)):
             raise UsageError(f"{self.path} was changed by somebody else meanwhile", "Look at it, and run again.")
         if self.retired or self.failed:
@@ -102,7 +103,7 @@ class Reserved:
                 raise
 
     def undo(self) -> None:
-        """Put back what was there before `place`."""
+        """Restore what was there before `place`."""
         if self._former.exists():
             if os.path.lexists(self.path):
                 os.rename(self.path, self.partial)
@@ -126,7 +127,7 @@ class Reserved:
         os.rename(self.path, self._former)
 
     def _clear(self) -> None:
-        """Empty the scratch folder but for the lock."""
+        """Empty the scratch folder, except for the lock."""
         for entry in os.scandir(self.scratch):
             if entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.path, ignore_errors=True)
@@ -136,7 +137,7 @@ class Reserved:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """An OSError within is an OutputError about `path`."""
+    """Turns an OSError in the block into an OutputError about `path`."""
     try:
         yield
     except OSError as error:
@@ -144,7 +145,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def identity(path: Path) -> tuple[int, ...] | None:
-    """By which to know what lies at `path` again; None for nothing."""
+    """Numbers that identify the file at `path` and its state; None if nothing is there."""
     try:
         found = os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):
@@ -153,8 +154,8 @@ def identity(path: Path) -> tuple[int, ...] | None:
 
 
 def _locked(scratch: Path, path: Path) -> int:
-    """Make the folder `scratch`, or take over that of a dead run; returns the lock, which the kernel lets go when its
-    process ends. Raises UsageError while another run has it, and for a folder of that name which no run made."""
+    """Make the folder `scratch`, or take over that of a dead run; returns the descriptor of its lock, which the kernel
+    releases when the process ends. Raises UsageError if another run holds it, or orthoscale did not make the folder."""
     busy = UsageError(f"{path} is being written by another run", "Wait for its end, or choose another place.")
     while True:
         made = True
@@ -167,7 +168,7 @@ def _locked(scratch: Path, path: Path) -> int:
                 raise UsageError(f"{scratch} is in the way", "orthoscale did not make it: move it away.") from None
         try:
             lock = os.open(scratch / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
-        except FileNotFoundError:  # its run has just ended
+        except FileNotFoundError:  # the run that made the folder has just ended and removed it
             continue
         except OSError:
             with suppress(OSError):
@@ -178,7 +179,7 @@ def _locked(scratch: Path, path: Path) -> int:
                 raise busy
             if os.path.samestat(os.fstat(lock), os.stat(scratch / LOCK)):
                 return lock
-        except FileNotFoundError:  # the lock of a run that has just ended
+        except FileNotFoundError:  # a run that has just ended removed the lock
             pass
         except OSError:
             os.close(lock)
@@ -194,7 +195,7 @@ def _locked(scratch: Path, path: Path) -> int:
 
 
 def _taken(lock: int, made: bool) -> bool:
-    """Whether this run has the lock now. Where there are no locks, it is that of the run that made its folder."""
+    """Whether this run holds the lock now. On file systems without locks, the run that made the folder holds it."""
     if fcntl is None:
         return made
     try:
@@ -213,7 +214,7 @@ def _rename_to_new(partial: Path, path: Path) -> None:
     try:
         if _renameat2(partial, path, NOREPLACE):
             return
-        # The name is taken by something empty first, which fails if it exists.
+        # First reserve the name with an empty file or folder; this fails if it exists.
         path.mkdir() if partial.is_dir() else path.touch(exist_ok=False)
     except FileExistsError:
         raise UsageError(f"{path} was made by somebody else meanwhile", "Nothing was replaced.") from None
@@ -225,7 +226,7 @@ def _rename_to_new(partial: Path, path: Path) -> None:
 
 
 def _renameat2(source: Path, target: Path, flag: int) -> bool:
-    """Linux's rename that replaces nothing, or exchanges both names at once; False where there is no such thing."""
+    """Linux's rename that replaces nothing, or exchanges both names atomically; False where it is not available."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):

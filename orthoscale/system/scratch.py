@@ -10,7 +10,7 @@ import weakref
 from pathlib import Path
 from typing import BinaryIO
 
-if sys.platform != "win32":  # which deletes no file that is open; that does as well
+if sys.platform != "win32":  # Windows does not delete open files, which serves as a lock
     import fcntl
 
 PREFIX = "orthoscale-scratch-"
@@ -18,8 +18,8 @@ IN_USE = "in-use"
 
 
 class Scratch:
-    """A folder of its own in the system's temporary one (``TMPDIR``), removed with this object, at exit, or, after a
-    kill, when the next is made. Its lock is held as long as it is used, so no folder in use is taken for a leftover."""
+    """A new folder in the system's temporary folder (``TMPDIR``). It is removed with this object, at exit or, after a
+    kill, when the next one is made. Its lock is held while it is in use, so that it is not taken for a leftover."""
 
     def __init__(self) -> None:
         _remove_leftovers(Path(tempfile.gettempdir()))
@@ -47,7 +47,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 
 def _locked(lock: BinaryIO) -> bool | None:
-    """Whether nobody else holds this lock, so that this process does now; None where the file system has no locks."""
+    """Whether this process could take the lock; False if another holds it, None if the file system has no locks."""
     if sys.platform != "win32":
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,7 +1,7 @@
-"""What orthoscale wrote, and how it is known again: a signature in each file, a mark in each folder.
+"""Marks what orthoscale writes, to recognise it later: a signature in each file, a mark in each folder.
 
-Only that may be replaced. A signature holds the file's own name, so that a copy on which somebody works does not pass
-for an output.
+Only outputs of orthoscale may be replaced. A signature depends on the file's own name, so that a user's working copy
+under another name is not taken for an output.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
 
 
 def signature(path: str | Path) -> str:
-    """What a file that orthoscale writes has somewhere inside: its own name's hash, so that a copy elsewhere, on which
-    somebody works on, does not pass for it."""
+    """The text that a file written by orthoscale contains: a hash of its own name, so that a renamed copy does not pass
+    for an output."""
     name = os.fsencode(Path(path).name)
     return "orthoscale output " + hashlib.blake2b(name, digest_size=8).hexdigest()
 
 
 def ours(path: Path) -> bool:
-    """Whether orthoscale wrote `path`, a file or a folder with nothing else in it."""
+    """Whether orthoscale wrote `path`: a file, or a folder with nothing else in it."""
     return not why_not_ours(path)
 
 
 def ours_in_a_folder(path: Path) -> bool:
-    """Whether orthoscale wrote `path`, alone or together with the folder that it lies in."""
+    """Whether orthoscale wrote `path`, as a single file or as a part of the folder that it lies in."""
     return ours(path) or (path.is_file() and path.name in (_listed(path.absolute().parent) or ()))
 
 
 def has_header(path: Path, columns: Iterable[str]) -> bool:
-    """Whether `path` is a table with just these columns: how a CSV, which has no room for a signature, is known."""
+    """Whether `path` is a CSV table with exactly these columns; CSV has no room for a signature."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         return next(csv.reader([file.readline(LONGEST_CSV_HEADER)]), []) == list(columns)
 
@@ -71,7 +71,7 @@ def _why_not_our_folder(folder: Path) -> str:
 
 
 def _listed(folder: Path) -> set[str] | None:
-    """The files that the mark of `folder` lists; None where there is no mark for a folder of this name."""
+    """The files that the mark of `folder` lists; None if it has no mark for a folder of this name."""
     try:
         mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
         return set(mark["files"]) if mark["written_by"] == signature(folder.absolute()) else None
@@ -80,7 +80,8 @@ def _listed(folder: Path) -> set[str] | None:
 
 
 def _files_in(folder: Path) -> Iterator[str]:
-    """Relative names of the files in `folder` but for its mark; a folder inside that is ours itself has none."""
+    """Relative names of the files in `folder`, without its mark and without folders in it that are outputs of their
+    own."""
     for root, folders, files in os.walk(folder):
         here = Path(root)
         links = [name for name in folders if (here / name).is_symlink()]
@@ -91,7 +92,7 @@ def _files_in(folder: Path) -> Iterator[str]:
 
 
 def sign_folder(folder: Path) -> None:
-    """Mark a folder with its name and the files that are in it."""
+    """Write the mark of a folder: its signature and the list of its files."""
     text = {"written_by": signature(folder), "version": __version__, "files": []}
     (folder / FOLDER_MARK).unlink(missing_ok=True)
     text["files"] = sorted(_files_in(folder))
@@ -107,7 +108,7 @@ def _signed(path: Path) -> bool:
 
 
 def sign_file(path: Path) -> None:
-    """Sign a file in the way of its format, which its first bytes tell: a JSON object, a page, a PNG, a GeoPackage."""
+    """Sign a file as its format allows, which its first bytes show: a JSON object, HTML, PNG or GeoPackage."""
     text = signature(path)
     with path.open("r+b") as file:
         start = file.read(16).lstrip()
@@ -131,7 +132,7 @@ def sign_file(path: Path) -> None:
 
 
 def _sign_geopackage(path: Path, text: str) -> None:
-    """In the description of its first table, which is free text."""
+    """Append the signature to the description of the first table, which is free text."""
     with closing(sqlite3.connect(path)) as file, file:
         file.execute(
             "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "

@@ -1,4 +1,4 @@
-"""SIGTERM, SIGHUP and Ctrl-C: handled from the start, deferred while files are renamed, answered with one sentence.
+"""Handles SIGTERM, SIGHUP and Ctrl-C: from the start, deferred while files are renamed, answered with one sentence.
 
 SIGHUP is what a closed terminal or a lost connection sends.
 """
@@ -13,23 +13,23 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))  # not in Windows
-written: list[str] = []  # outputs that are in their places already
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))  # not on Windows
+written: list[str] = []  # outputs that are in place already
 _state = {"received": 0, "held": 0, "said": 0}
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asks to stop. Not KeyboardInterrupt itself: where that passes through exec, as of a dataclass that is
-    being made, Python remembers it as unhandled and ends with SIGINT, whatever exit code it was given."""
+    """A signal asks to stop. Not KeyboardInterrupt itself: if that passes through exec, as while a dataclass is being
+    created, Python records it as unhandled and ends with SIGINT, whatever the exit code."""
 
 
 def sentence() -> str:
-    """What a stopped run leaves."""
+    """What a stopped run has written, as a message."""
     return "stopped; " + (f"already written: {', '.join(written)}" if written else "nothing was written")
 
 
 def say(write: Callable[[str], object]) -> None:
-    """`write` the sentence, unless it is said already."""
+    """Pass the sentence to `write`, unless that was done before."""
     if not _state["said"]:
         with suppress(OSError):  # the terminal may be gone
             write(sentence())
@@ -37,12 +37,12 @@ def say(write: Callable[[str], object]) -> None:
 
 
 def exit_code() -> int:
-    """As shells count: 128 and the signal's number."""
+    """128 plus the signal's number, as shells do."""
     return 128 + (_state["received"] or signal.SIGINT)
 
 
 def leave_at_once() -> None:
-    """Until `listening`, and after it, no output is being made: a signal ends the process with the sentence."""
+    """Let a signal end the process with the sentence: before and after `listening`, when no output is being made."""
 
     def leave(number: int, frame: FrameType | None) -> None:
         say(lambda text: os.write(2, (text + "\n").encode("ascii", "backslashreplace")))
@@ -53,7 +53,7 @@ def leave_at_once() -> None:
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """A signal raises Stopped, so that what was begun is cleaned away; the former handlers come back."""
+    """In the block a signal raises Stopped, so that unfinished outputs are removed; then the former handlers return."""
 
     def heard(number: int, frame: FrameType | None) -> None:
         _state["received"] = number
@@ -66,18 +66,18 @@ def listening() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if _state["received"]:  # it is what something made of Stopped, as Python 3.11 of one while a class is made
+        if _state["received"]:  # the error was made from Stopped, as Python 3.11 does while a class is created
             raise Stopped from error
         raise
     finally:
-        _state["held"] += 1  # a second signal would leave some of them behind
+        _state["held"] += 1  # a second signal would leave some handlers unrestored
         for number, handler in former.items():
             signal.signal(number, handler)
 
 
 @contextmanager
 def held() -> Iterator[None]:
-    """A signal waits for the end of the block."""
+    """Defers a signal to the end of the block."""
     _state["held"] += 1
     try:
         yield
@@ -88,20 +88,20 @@ def held() -> Iterator[None]:
 
 
 def check() -> None:
-    """Raise Stopped if a signal came while they were held, or a library swallowed the exception."""
+    """Raise Stopped if a signal came while signals were deferred, or a library swallowed the exception."""
     if _state["received"]:
         raise Stopped
 
 
 def over() -> None:
-    """What is done is done: while Python ends, which takes some 50 ms, a signal changes nothing."""
+    """Ignore signals from now on: the work is done, and Python takes some 50 ms to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def unheard_by_libraries() -> Iterator[None]:
-    """A library is imported in the block that sets handlers behind Python's back: signals wait until ours are back."""
+    """For importing a library that sets handlers behind Python's back: signals wait until ours are restored."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -110,13 +110,14 @@ def unheard_by_libraries() -> Iterator[None]:
         yield
     finally:
         for number in SIGNALS:
-            if (handler := signal.getsignal(number)) is not None:  # what Python knows of it is right
+            if (handler := signal.getsignal(number)) is not None:  # Python's own record has the right handler
                 signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _handle(handler: Any) -> dict[signal.Signals, Any]:
-    """Set `handler` where a signal is not ignored (a shell's background jobs ignore Ctrl-C); returns the former."""
+    """Set `handler` for signals that are not ignored (a shell's background jobs ignore Ctrl-C); returns the former
+    handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     former = {number: signal.getsignal(number) for number in SIGNALS}

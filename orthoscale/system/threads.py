@@ -1,4 +1,4 @@
-"""Threads for a part of the work, none of which is left when it is over."""
+"""A thread pool that leaves no thread running at its end."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from . import stopping
 
 
 class Threads(ThreadPoolExecutor):
-    """A pool for a `with` block. At its end what was not begun is cancelled, and signals wait until what was is done:
-    Python takes a thread whose end it was kept from waiting for as ended, and a network that such a thread is still in
-    aborts the process while Python ends."""
+    """A pool for a `with` block. At its end, pending tasks are cancelled, and signals wait until running ones are done:
+    a signal that interrupted the wait would make Python take their threads for ended, and a network still running in
+    one aborts the process while Python ends."""
 
     def __exit__(self, *exc: object) -> None:
         """Raises Stopped if a signal came meanwhile."""

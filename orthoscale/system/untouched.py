@@ -1,6 +1,6 @@
-"""That no output touches an input.
+"""Ensures that no output touches an input.
 
-None is, contains or lies in one, under whatever name, or is a file that programs read together with one.
+No output may be, contain or lie in an input, under whatever name, or be a file that programs read together with one.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..errors import UsageError
 
-# What GDAL reads beside a file: the file's name and this, or its stem and this. World files come on top.
+# Endings of files that GDAL reads together with a file, appended to its name or to its stem; and world files.
 BESIDE_NAME = (".aux.xml", ".ovr", ".msk", ".xml", "-wal", "-shm", "-journal")
 BESIDE_STEM = (".aux.xml", ".aux", ".rrd", ".prj", ".qpj", ".rpb", "_rpc.txt", ".imd", ".tab", ".wld", ".shx", ".dbf",
                ".cpg", ".sbn", ".sbx")  # fmt: skip
@@ -46,7 +46,7 @@ def refuse_input(out: Path, given: Path) -> None:
 
 
 def _places(path: Path) -> set[str]:
-    """Where `path` leads, and where the name itself is, which a symbolic link keeps apart."""
+    """The real paths of the file behind `path` and of the name itself; they differ for a symbolic link."""
     parent = os.path.realpath(path.absolute().parent)
     return {os.path.realpath(path), os.path.join(parent, path.name)}
 
@@ -63,12 +63,12 @@ def _within(path: str, folder: str) -> bool:
 
 
 def inside(path: Path, folder: Path) -> bool:
-    """Whether `path` is `folder` or lies in it, wherever links lead."""
+    """Whether `path` is `folder` or lies in it, with links resolved."""
     return _within(os.path.realpath(path), os.path.realpath(folder)) or _same(path, folder)
 
 
 def _sidecars(place: str) -> set[str]:
-    """Names, in lower case, of what programs read together with the file `place`."""
+    """Names, in lower case, of the files that programs read together with the file `place`."""
     path = Path(place.lower())
     ending = path.suffix[1:]
     world = (f".{ending}w", f".{ending[0]}{ending[-1]}w") if ending else ()

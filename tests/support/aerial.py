@@ -1,4 +1,4 @@
-"""Simulated pairs: photos as a pinhole camera over an orthophoto sees them, in another light and season."""
+"""Simulated pairs: photos of an orthophoto as a pinhole camera would take them, in another light and season."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Shot:
-    """A photo over level ground. foot : (2,) below the camera, x and y of the orthophoto [m right and down].
+    """A photo over level ground. foot : (2,) place below the camera, x and y of the orthophoto [m right and down].
 
     heading : of the picture's top, clockwise from the orthophoto's up [deg]. pitch, roll : as `sources.tags` [deg].
     altitude [m], focal [px], size [px].
@@ -58,7 +58,7 @@ class Shot:
 
 
 def town(seed: int = 0, side: int = 1600) -> np.ndarray:
-    """(side, side, 3) uint8: roofs, roads and trees at random, nowhere twice."""
+    """(side, side, 3) uint8: random roofs, roads and trees, without repeats."""
     draw = np.random.default_rng(seed)
     ground = cv2.resize(draw.uniform(70, 130, (side // 40, side // 40, 3)), (side, side), interpolation=cv2.INTER_CUBIC)
     for _ in range(side // 40):
@@ -78,7 +78,7 @@ def town(seed: int = 0, side: int = 1600) -> np.ndarray:
 
 
 def relit(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray:
-    """Another light: gamma, contrast, colour cast, and the shades of clouds."""
+    """The picture in another light: gamma, contrast, colour cast, and shadows of clouds."""
     height, width = picture.shape[:2]
     light = np.clip(picture / 255.0, 0, 1) ** np.exp(draw.normal(0, 0.35))
     light = 0.5 + (light - 0.5) * np.exp(draw.normal(-0.1, 0.25)) + draw.normal(0, 0.08)
@@ -88,7 +88,7 @@ def relit(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray:
 
 
 def another_season(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray:
-    """What is green turns brown, yellow or white, with a texture of its own."""
+    """The picture in another season: green turns brown, yellow or white, with another texture."""
     values = picture.astype(float)
     green = values[..., 1] - values[..., [0, 2]].mean(-1)
     share = np.clip(green / 20.0, 0, 1)[..., None] * draw.uniform(0.5, 0.95)
@@ -98,7 +98,7 @@ def another_season(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray
 
 
 def vehicles_moved(picture: np.ndarray, draw: np.random.Generator, gsd: float, per_hectare: float = 25.0) -> np.ndarray:
-    """Boxes as large as cars are put over what was there: cars that came, and ground where others were."""
+    """The picture with boxes of the size of cars painted over it: cars that came, and ground where others stood."""
     moved = picture.copy()
     height, width = picture.shape[:2]
     for _ in range(int(per_hectare * height * width * gsd**2 / 1e4)):
@@ -121,7 +121,7 @@ def degraded(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray:
 def leaning(
     picture: np.ndarray, draw: np.random.Generator, gsd: float, sd: float = 1.0, width: float = 12.0
 ) -> np.ndarray:
-    """Places shifted by `sd` metres to each side, alike over `width` metres: relief, and roofs that lean."""
+    """The picture with random shifts of one sigma `sd` [m], correlated over `width` [m]: relief and leaning roofs."""
     height, across = picture.shape[:2]
     coarse = (max(2, round(height * gsd / width)) + 1, max(2, round(across * gsd / width)) + 1)
     shifts = [
@@ -138,7 +138,7 @@ def leaning(
 
 
 def rebuilt(picture: np.ndarray, draw: np.random.Generator, gsd: float, share: float = 0.2) -> np.ndarray:
-    """Patches of 8 to 30 m, a `share` of the picture, show what stands somewhere else in it."""
+    """The picture with patches of 8 to 30 m, a `share` of its area, copied from other places in it."""
     new = picture.copy()
     height, width = picture.shape[:2]
     covered = 0.0
@@ -151,6 +151,6 @@ def rebuilt(picture: np.ndarray, draw: np.random.Generator, gsd: float, share: f
 
 
 def other_date(picture: np.ndarray, draw: np.random.Generator, gsd: float) -> np.ndarray:
-    """All of it: season, buildings, vehicles, lean, light, and another camera."""
+    """All of these changes: season, buildings, vehicles, lean, light, and another camera."""
     changed = vehicles_moved(rebuilt(another_season(picture, draw), draw, gsd), draw, gsd)
     return degraded(relit(leaning(changed, draw, gsd), draw), draw)

@@ -1,4 +1,4 @@
-"""Anchors with known truth: white squares on grey, a finder of them, and votes that err as they say."""
+"""Anchors with known truth: white squares on grey, a finder for them, and votes with a given error."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from orthoscale.core.anchors import Anchor, AnchorVote, Standard
 SIDE = 10.0  # [m] of a square
 SQUARE = Standard("squares of 10 m", SIDE, 0.001, "drawn so")
 FALSE = 0.01
-FINE = 5  # points a pixel, across and down, of which the share that is painted is taken
+FINE = 5  # samples per pixel, across and down, for the share of it that is painted
 
 
 @dataclass(frozen=True)
 class SquareFinder:
-    """Finds bright filled squares that have about the standard's side, by their area: edge pixels count by how bright
-    they are."""
+    """Finds bright filled squares of about the standard's size, by their area: edge pixels count in proportion to their
+    brightness."""
 
     standards: tuple[Standard, ...] = (SQUARE,)
     kind: str = "painted square"
@@ -48,7 +48,7 @@ class SquareFinder:
 
 
 def squares(width, height, gsd, middles, side=SIDE, turn=0.3):
-    """A grey picture of `gsd` m/px with a white square about each of `middles` (N, 2) [px]."""
+    """A grey picture of `gsd` m/px with a white square at each of `middles` (N, 2) [px]."""
     image = np.random.default_rng(0).integers(90, 110, (height, width, 3), dtype=np.uint8)
     c, s = np.cos(turn), np.sin(turn)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ np.array([[c, s], [-s, c]]) * side / gsd / 2
@@ -65,7 +65,8 @@ def squares(width, height, gsd, middles, side=SIDE, turn=0.3):
 
 
 def vote(kind, log_scale, sd, standards, meant=0, false=FALSE, window=0.4, at=0.0):
-    """One anchor of a kind that would give exp(`log_scale`) by the standard number `meant` of `standards`."""
+    """An anchor of a kind that gives the scale exp(`log_scale`) if it is the one with the index `meant` of
+    `standards`."""
     units = standards[meant].metres / np.exp(log_scale)
     lines = np.array([[[at, 0.0], [at + units, 0.0]]])
     anchor = Anchor(kind, np.array([at, 0.0]), lines, units, sd, np.zeros(1), tuple(standards), false)
@@ -76,5 +77,5 @@ SMALL = Standard("squares of 6 m", 6.0, 0.001, "drawn so")
 
 
 def small_squares():
-    """A finder of another kind, which takes any square of its size in pixels for one of 6 m."""
+    """A finder of another kind, which takes any square of the right size in pixels for one of 6 m."""
     return SquareFinder(standards=(SMALL,), kind="small square", extent=9.0)

@@ -1,7 +1,8 @@
-"""Simulated blocks of frames over parked vehicles: terrain, roofs, crowns, sparse points, a perfect detector's boxes.
+"""Simulated blocks of frames over parked vehicles: terrain, roofs, tree crowns, sparse points, a perfect detector's
+boxes.
 
-Nothing is rendered: vehicles are outlines that the true cameras project, and sparse points are drawn where feature
-matching finds them (roofs, crowns, rough ground; few on bare asphalt). So a block takes a second; its truth is exact.
+Nothing is rendered: the true cameras project outlines of vehicles, and random sparse points lie where feature matching
+finds them (roofs, crowns, rough ground; few on bare asphalt). So a block takes a second, and its truth is exact.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ KINDS = ("nadir", "oblique", "grid", "strip")
 WIDTH, HEIGHT = 1200, 900
 HEIGHT_ENCLOSED = 0.8  # [m]
 RULER = Ruler(margin_sd=(0.3, 0.3), bias_sd=(0.01, 0.015), noise=(0.8, 0.6))
-EXACT = replace(RULER, margin_sd=(1e-3, 1e-3), bias_sd=(0.0, 0.0), shrink_sd=(0.0, 0.0))  # of it all is known
+EXACT = replace(RULER, margin_sd=(1e-3, 1e-3), bias_sd=(0.0, 0.0), shrink_sd=(0.0, 0.0))  # nothing about it is unknown
 LOWEST_ENCLOSED, MOST_CORNER = 0.1, 0.3  # [m], [of the width]
 SEEN = 0.8  # share of a vehicle's views in which it is found
-POINT_NOISE = 0.06  # [m] of a sparse point, and GRASS of those on rough ground, upwards
+POINT_NOISE = 0.06  # [m] noise of a sparse point; GRASS: mean height of those on rough ground
 GRASS = 0.15
 DENSE_PER_M2, DENSE_NOISE = 8.0, 0.04  # points of a dense cloud, thinned; their noise [m]
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a block is like.
+    """The properties of a block.
 
-    kind : one of KINDS. points : sparse points. crowns, roofs : share of the area that they cover. slope : of the
-    ground. relief : amplitude of its waves [m]. focal : by how much the model's focal length is too long (straight-down
-    flights: heights are then too large by as much). bare : how much fewer points there are where vehicles stand.
+    kind : one of KINDS. points : number of sparse points. crowns, roofs : share of the area that they cover. slope : of
+    the ground. relief : amplitude of its waves [m]. focal : relative error of the model's focal length, too long (in
+    nadir flights heights are then too large by as much). bare : share of points missing where vehicles stand.
     """
 
     kind: str = "nadir"
@@ -65,7 +66,7 @@ class Conditions:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, kind: str) -> Conditions:
-        """What flights are like, at random."""
+        """Random conditions of typical flights."""
         straight_down = kind in ("nadir", "strip")
         return cls(
             kind=kind,
@@ -83,7 +84,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Block:
-    """source : as `ColmapSource` opens it. found : the boxes. metres_per_unit : the truth."""
+    """source : a reconstruction. found : the boxes. metres_per_unit : the true scale."""
 
     source: ColmapSource
     found: Detections
@@ -92,13 +93,13 @@ class Block:
 
 
 class _KnownFleet(Fleet):
-    """One whose places are all like it."""
+    """A fleet that is the same at all places."""
 
     place_vehicles = (PlaceKind(1e6, 1.0),)
 
 
 def exactly(fleet: Fleet) -> Fleet:
-    """`fleet`, with nothing about it unknown."""
+    """`fleet` without any uncertainty."""
     own = {field.name: getattr(fleet, field.name) for field in fields(fleet)}
     return _KnownFleet(**{**own, "mean_sd": np.full(3, 1e-6), "shares_sd": 0.0})
 
@@ -111,9 +112,9 @@ def fly(
     ruler: Ruler = RULER,
     dense: bool = False,
 ) -> Block:
-    """One block. unsure : what is not known is off by as much as `fleet`, `ruler` and the program claim (`_Boxing`);
-    else all vehicles are the fleet's, and boxes are what the card says of them. dense : a dense cloud of the same
-    ground lies beside it; all else is as without."""
+    """A random block. unsure : with errors as large as the uncertainties that `fleet`, `ruler` and the program claim
+    (`_Boxing`); else all vehicles are the fleet's, and boxes are as on the card. dense : with a dense cloud of the same
+    ground; all else stays the same."""
     c = conditions
     terrain = _Terrain.drawn(rng, c)
     size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)
@@ -167,10 +168,10 @@ def fly(
 
 @dataclass(frozen=True)
 class _Boxing:
-    """How the boxes of one flight relate to its vehicles; by default as the card says. (2,) are of lengths and widths.
+    """How the boxes of one flight relate to its vehicles; by default as on the card. (2,) are of lengths and widths.
 
-    bias : relative. margin : [px]. shrink : how far sizes are drawn to the `usual` ones [m]. heights : up to where
-    boxes enclose the ends of vehicles, and their sides [m]. lean : of ends and sides, and corner, as `Hull` has them.
+    bias : relative. margin : [px]. shrink : shrinkage towards the `usual` sizes [m]. heights : up to which boxes
+    enclose the ends of vehicles, and their sides [m]. lean : of ends and sides, and corner, as in `Hull`.
     """
 
     bias: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -183,7 +184,8 @@ class _Boxing:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, ruler: Ruler) -> _Boxing:
-        """Off by as much as is claimed to be unknown: of boxes by `ruler`, of bodies by the self-calibration."""
+        """With random errors as large as the claimed uncertainties: of boxes by `ruler`, of bodies by the
+        self-calibration."""
         heights = np.maximum(HEIGHT_ENCLOSED + rng.normal(0, HEIGHT_SD, 2), LOWEST_ENCLOSED)
         lean = rng.normal(0, LEAN_SD)
         return cls(
@@ -197,12 +199,12 @@ class _Boxing:
         )
 
     def seen(self, size: np.ndarray) -> np.ndarray:
-        """(N, 2) sizes that boxes show of vehicles of `size` (N, 2) [m]."""
+        """(N, 2) sizes of vehicles of `size` (N, 2) [m] after shrinkage."""
         return size * (np.array(self.usual) / size) ** self.shrink
 
     @cached_property
     def bodies(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """What boxes enclose at vehicles' ends, and what at their sides: see `bodies.body`."""
+        """The bodies that boxes enclose at vehicles' ends, and at their sides: see `bodies.body`."""
         levels = np.array([ring[0] for ring in CAR])
         rings: list[tuple[float, float, float, float]] = []
         for height in sorted({*levels.tolist(), BEND}):
@@ -212,7 +214,8 @@ class _Boxing:
         return tuple(body(tuple(rings), height, self.corner) for height in self.heights)
 
     def boxes(self, seen: list[np.ndarray], more: np.ndarray) -> Boxes:
-        """seen : (N, P, 2) pixels of the two `bodies` of each vehicle, and (N, 2, 2) of its axis. more : (N, 2)."""
+        """seen : (N, P, 2) pixels of the two `bodies` of each vehicle, and (N, 2, 2) of its axis. more : (N, 2) noise
+        of length and width [px]."""
         rows = []
         for at_ends, at_sides, axis in zip(*seen, strict=True):
             heading = axis[1] - axis[0]
@@ -303,7 +306,7 @@ def _cameras(rng: np.random.Generator, c: Conditions) -> list[tuple[np.ndarray, 
 
 
 class _Things(NamedTuple):
-    """Roofs or crowns: (K, 2) middles, their radius, (K,) tops over the ground and their roughness [m]."""
+    """Roofs or tree crowns: (K, 2) centres, their radius, (K,) heights of their tops and their roughness [m]."""
 
     middles: np.ndarray
     reach: float
@@ -314,7 +317,7 @@ class _Things(NamedTuple):
 def _sparse(
     rng: np.random.Generator, c: Conditions, terrain: _Terrain, vehicles: np.ndarray
 ) -> tuple[np.ndarray, list[_Things]]:
-    """(points, 3) sparse points [m]: the ground, roofs, crowns, vehicles, and strays; and the roofs and crowns."""
+    """(points, 3) sparse points [m]: of the ground, roofs, crowns, vehicles, and outliers; and the roofs and crowns."""
     half = 0.7 * c.extent
     xy = rng.uniform(-half, half, (6 * c.points, 2))
     roofs = rng.uniform(-half, half, (int(c.roofs * 4 * half**2 / 120) + 1, 2))
@@ -355,7 +358,7 @@ def _dense(
     axes: np.ndarray,
 ) -> np.ndarray:
     """(N, 3) points of a dense cloud [m]: ground, bodies of vehicles of `size` at `place` along `axes`, the `things`,
-    1 % strays half of which lie up to metres under the ground, and holes where nothing matched."""
+    1 % outliers, half of which lie up to metres below the ground, and holes where nothing matched."""
     half = 0.7 * c.extent
     xy = rng.uniform(-half, half, (int(DENSE_PER_M2 * 4 * half**2), 2))
     holes = rng.uniform(-half, half, (30, 2))
@@ -377,7 +380,7 @@ def _dense(
 
 @dataclass(frozen=True)
 class _Cloud:
-    """What `dense_cloud.DenseCloud` is of a file. points : (N, 3) [model units]."""
+    """As `dense_cloud.DenseCloud`, but without a file. points : (N, 3) [model units]."""
 
     points: np.ndarray
     named: bool = True

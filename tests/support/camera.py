@@ -1,4 +1,4 @@
-"""The paper's simplified camera (arXiv 2603.07535), which tests compare the general geometry with."""
+"""The paper's simplified camera (arXiv 2603.07535), with which tests compare the general geometry."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def simple_views(
 ) -> Views:
     """No roll, no distortion, the principal point in the middle, flat level ground.
 
-    pixels : (N, 2) where the boxes' centres are [px].
+    pixels : (N, 2) centres of the boxes [px].
     image_size : width and height [px].
     focal_px : focal length [px].
     pitch : of the optical axis [rad], -pi/2 straight down, 0 at the horizon, as gimbals report it.
-    altitude : of the camera over the ground, one or (N,), in the units that the views shall have; 1 makes metres per
-        unit the altitude in metres.
+    altitude : of the camera over the ground, one or (N,), in the units of the views; if it is 1, metres per unit are
+        the altitude in metres.
 
-    Pixels on or above the horizon see no ground; theirs is NaN.
+    Pixels on or above the horizon see no ground; there the views are NaN.
     """
     offset = (np.asarray(pixels, float).reshape(-1, 2) - np.asarray(image_size, float) / 2) / focal_px
     rays = np.column_stack([offset, np.ones(len(offset))])

@@ -1,4 +1,4 @@
-"""What befalls a Dask cluster."""
+"""Failures of a Dask cluster."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ import time
 
 
 def killing_one(cluster, client):
-    """A thread, already running, that kills a worker of `cluster` as soon as one has something to do."""
+    """Start and return a thread that kills a worker of `cluster` as soon as any has work."""
 
     def kill():
         while not any(client.processing().values()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-FINE = 0.05  # [m/px] that pictures are drawn at, at most
+FINE = 0.05  # [m/px] coarsest resolution at which pictures are drawn
 PAINTS = (
     (150, 45, 40), (40, 75, 135), (45, 105, 75), (125, 128, 130), (205, 205, 200), (200, 105, 45), (110, 60, 45),
 )  # fmt: skip
@@ -15,8 +15,8 @@ STOREY = 2.591  # [m]
 
 
 def yard(number, feet, rng):
-    """Boxes of a yard: (x, y) of the middle [m] from the yard's, storeys, paint. Blocks of three to seven side by side,
-    two to four end to end."""
+    """Containers of a yard: (x, y) of the middle [m] from the yard's, storeys, paint. Blocks of three to seven side by
+    side, one to three end to end."""
     length, gap, end_gap = LENGTHS[feet], rng.uniform(0.05, 0.4), rng.uniform(0.2, 0.5)
     beside, behind = rng.integers(3, 8), rng.integers(1, 4)
     boxes = []
@@ -32,8 +32,8 @@ def yard_picture(
     boxes, feet, gsd, side=44.0, angle=0.3, *, ground=(120, 118, 114), sun=(0.5, 0.35), ribs=0.05, dirt=0.06,
     blur_px=0.6, noise=2.5, seed=0,
 ):  # fmt: skip
-    """RGB uint8, `side` [m] wide and high. sun : how far shadows reach, in heights, along x and y of the yard. ribs :
-    by how much corrugation is lighter and darker. dirt : the same of patches."""
+    """RGB uint8, `side` [m] wide and high. sun : length of shadows along x and y of the yard, in heights. ribs :
+    relative change of brightness by corrugation. dirt : the same by patches of dirt."""
     rng = np.random.default_rng(seed)
     fine = int(np.ceil(gsd / FINE))
     count, pixel, length = round(side / gsd), gsd / fine, LENGTHS[feet]
@@ -66,7 +66,7 @@ def yard_picture(
 
 
 def _shaded(image, boxes, length, u, v, below, sun):
-    """With the shadows that boxes throw on what is `below` storeys high; the floor of gaps is darker still."""
+    """The picture with the shadows that boxes cast on what is `below` storeys high."""
     dark = np.zeros(u.shape, bool)
     for (cx, cy), storeys, _ in boxes:
         for share in np.linspace(0, 1, 12) if storeys > below else ():
@@ -76,7 +76,7 @@ def _shaded(image, boxes, length, u, v, below, sun):
 
 
 def container_yard(number, gsd, rng):
-    """A picture as of `yard_picture` in one of many looks, how many boxes it shows, and how long they are [ft]."""
+    """A `yard_picture` with random looks, the number of containers in it, and their length [ft]."""
     feet = (40, 20, 40, 20, 45)[number % 5]
     boxes = yard(number, feet, rng)
     return yard_picture(

@@ -1,4 +1,4 @@
-"""Places of known metres, marked in the pictures of the flight of `models.make_model`."""
+"""Points with known coordinates in metres, marked in the pictures of the flight of `models.make_model`."""
 
 import numpy as np
 import pyproj
@@ -21,7 +21,8 @@ def on_map(metres, system):
 
 
 def marked(path, source, turn, header="EPSG:32632", system="EPSG:32632", pictures=None, named=str):
-    """A list of where PLACES are seen in `pictures`, all by default; `named` makes the list's name of a picture's."""
+    """Write a list of marks of PLACES in `pictures`, all by default. named : from a picture's name to that in the
+    list."""
     lines = [header, "# X Y Z COLUMN ROW PICTURE NAME", ""]
     for number, (place, known) in enumerate(zip(PLACES, on_map(UNIT * PLACES, system), strict=True)):
         for name in source.picture_names if pictures is None else pictures:
@@ -33,7 +34,8 @@ def marked(path, source, turn, header="EPSG:32632", system="EPSG:32632", picture
 
 
 def shows(source, name, place):
-    """Whether the picture has the place, at most 40 degrees off its axis: its lens folds what lies far outside."""
+    """Whether the picture shows the place, at most 40 degrees off its axis: lens distortion can fold places far outside
+    back into the picture."""
     (pixel,) = source.project(name, place[None])
     off = source.rotation(name) @ (place - source.centre(name))
     inside = bool((pixel > 0).all() and (pixel < source.image_size(name)).all())

@@ -1,4 +1,4 @@
-"""Pictures of painted courts with exact truth, drawn from the edges that the rules give."""
+"""Pictures of painted courts with exact truth, drawn by the dimensions in the rules."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-FINE = 0.11  # [m/px] that pictures are drawn at, at most
+FINE = 0.11  # [m/px] coarsest resolution at which pictures are drawn
 GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
 
 
 def tennis(line=0.05, base=0.075):
-    """Painted rectangles (x0, y0, x1, y1) [m] about the middle of a court of 23.77 x 10.97 m to the outside."""
+    """Painted rectangles (x0, y0, x1, y1) [m] about the middle of a court, 23.77 x 10.97 m to the outside of its
+    lines."""
     x, y, single, service = 23.77 / 2, 10.97 / 2, 8.23 / 2, 6.40
     along = [(-x, s * e - line if s > 0 else -e, x, e if s > 0 else -e + line) for e in (y, single) for s in (-1, 1)]
     across = [(s * x - (base if s > 0 else 0), -y, s * x + (0 if s > 0 else base), y) for s in (-1, 1)]
@@ -67,7 +68,8 @@ def centre_circle(line=0.10):
 
 
 def covered(x, y, gsd, box):
-    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
+    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle (or ring) covers; exact for a
+    rectangle parallel to the pixels."""
     if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both
         gap = np.hypot(x - box[0], y - box[1])
         inside = np.clip(np.minimum(box[3], gap + gsd / 2) - np.maximum(box[2], gap - gsd / 2), 0, gsd) / gsd
@@ -126,8 +128,8 @@ def court_picture(
 
 
 def court_along_rows(boxes, gsd, place, shape, *, ground=100, white=200, blur_px=0.6, noise=1.0, seed=0):
-    """RGB uint8 of `shape` (H, W) [px], a court along its rows: paint blurred, then summed over each pixel, both
-    exactly. `court_picture` draws in cells as wide as a line, in each of which it may lie anywhere. Arguments as there.
+    """RGB uint8 of `shape` (H, W) [px], a court along the rows: paint is blurred, then integrated over each pixel, both
+    exactly. `court_picture` draws with cells as wide as a line, which is less exact. Arguments as there.
     """
     blur = blur_px * gsd
 

@@ -1,4 +1,4 @@
-"""Pictures of rectangles and a detector that finds them: known truth, no network. A few vehicles for the networks."""
+"""Pictures of rectangles with known truth, and a detector for them without a network; and vehicles for the networks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 
 
 class Drawing:
-    """A picture of white rectangles on grey ground, drawn twice as fine as its pixels."""
+    """A picture of white rectangles on grey ground, drawn at twice its resolution."""
 
     FINER = 2
 
@@ -36,7 +36,7 @@ class Drawing:
 
 
 class RectangleDetector:
-    """Finds white rectangles, but like a network only in its range of sizes; makes mistakes of the size it likes."""
+    """Finds white rectangles, like a network only in its range of sizes; its false boxes have its favourite size."""
 
     card = CARD
     name, sha256, sure = "rectangles", "a" * 64, 0.0
@@ -76,8 +76,8 @@ def car_park(length, width, height, count, seed=0):
 
 
 def rendered_vehicles() -> np.ndarray:
-    """RGB uint8 (82, 102, 3), RENDERED_VEHICLES side by side, 38 px long: what the shipped networks take for vehicles.
-    Drawn rectangles are none to them."""
+    """RGB uint8 (82, 102, 3), RENDERED_VEHICLES side by side, 38 px long. The shipped networks find these, but not
+    drawn rectangles."""
     scene = make_scene(3, None, 40, 8, "carpark")
     pixels, _ = render(scene, ortho_view(scene, 4.45 / 38), 1)
     return pixels[30:112, 220:322]

@@ -25,7 +25,7 @@ def vehicles(turn, count=45, seed=1):
     place = np.array([(x, y) for x in np.arange(-9, 9.1, 2.2) for y in np.arange(-8, 8.1, 2.2)])
     place = place[rng.permutation(len(place))[:count]] + rng.uniform(-0.4, 0.4, (count, 2))
     size = FLEET.sample(rng, count)[:, :2]
-    size *= FLEET.mean[:2] / size.mean(0) / UNIT  # no luck of a few vehicles in what the way to the scale gives
+    size *= FLEET.mean[:2] / size.mean(0) / UNIT  # without sampling error, so that only the method's error remains
     angle = rng.uniform(0, np.pi, count)
     axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
     plan, heights = body(top=HEIGHT)
@@ -61,7 +61,7 @@ def found_by(folder, turn, noise=0.3, seed=0):
         boxes = []
         for whole, end in zip(bodies, ends, strict=True):
             drop = (centre @ up) / ((centre - whole) @ up)
-            shadow = centre + (whole - centre) * drop[:, None]  # where the warp puts what stands above the ground
+            shadow = centre + (whole - centre) * drop[:, None]  # where the warp puts points above the ground
             points, heading = (
                 (source.ground.plane(p) - picture.origin) @ picture.axes.T / picture.unit_per_pixel
                 for p in (shadow, end)

@@ -70,14 +70,14 @@ def pcd(form: str, body: bytes, points: int = 3) -> bytes:
 
 
 def lzf(data: bytes, repeat: int = 0) -> bytes:
-    """`data` as literals, its last `repeat` bytes (3 to 8) as a copy of the byte before them."""
+    """`data` compressed by LZF: as literals, its last `repeat` bytes (3 to 8) as a copy of the byte before them."""
     plain = data[: len(data) - repeat]
     out = b"".join(bytes([len(part) - 1]) + part for k in range(0, len(plain), 32) for part in [plain[k : k + 32]])
     return out + (bytes([(repeat - 2) << 5, 0]) if repeat else b"")
 
 
 def pcd_body(form: str, rows: np.ndarray) -> bytes:
-    """What follows the header of `pcd` for `rows` of PCD_ROW; in the compressed form the last 8 bytes are alike."""
+    """The data after the header of `pcd` for `rows` of PCD_ROW; in the compressed form the last 8 bytes are equal."""
     if form == "ascii":
         lines = [(r["x"], *r["pad"], r["y"], r["z"], r["label"], r["normal_x"]) for r in rows]
         return b"".join(b" ".join(str(v).encode() for v in line) + b"\n" for line in lines)

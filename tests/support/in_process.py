@@ -1,4 +1,4 @@
-"""The command line without a new process: the same entry point, exit code and streams, a second sooner."""
+"""Runs the command line without a new process: the same entry point, exit code and streams, but a second faster."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""Plain orthophotos, and the outlines of lots in them."""
+"""Simple orthophotos, and files with the outlines of lots in them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Pictures of painted strokes on a road, from their corners in metres: exact truth, a camera's blur and noise."""
+"""Pictures of painted strokes on a road, drawn from their corners in metres, with a camera's blur and noise."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-FINER = 4  # drawn so much finer than pixels, corners to a sixteenth of that
+FINER = 4  # supersampling; corners are exact to a sixteenth of a sample
 ROAD, PAINT = (104, 104, 108), (222, 222, 218)
 
 

@@ -13,8 +13,8 @@ import pycolmap
 def make_model(
     camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False, points=1500, lift=0.0
 ):
-    """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a turned frame. lift : how far
-    its sparse points lie above the ground."""
+    """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a rotated coordinate system.
+    lift : height of its sparse points above the ground [units]."""
     random = np.random.default_rng(0)
     model = pycolmap.Reconstruction()
     for number in (1, 2) if rig else (1,):

@@ -1,4 +1,4 @@
-"""Tiny ONNX networks of known output, in the form of each detector that is recognised."""
+"""Tiny ONNX networks of known output, in the format of each detector that is recognised."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = {"names": "{0: 'large vehicle', 1: 'small vehicle', 2: 'ship'}", "task":
 
 
 def network(path, outputs, metadata=None, size=("h", "w"), open_shapes=False, dtype=onnx.TensorProto.FLOAT):
-    """An ONNX file whose outputs, arrays by name, do not depend on its image, but for a zero made of it."""
+    """An ONNX file with constant outputs, arrays by name; only an added zero is computed from its image."""
     nodes, values, weights = [], [], []
     nodes.append(helper.make_node("ReduceMax", ["images"], ["brightest"], keepdims=0))
     for name, array in outputs.items():
@@ -49,26 +49,26 @@ def network(path, outputs, metadata=None, size=("h", "w"), open_shapes=False, dt
 
 
 def raw(classes=3):
-    """As [1, 4 + classes + 1, n]; the classes that are not named are a little possible too."""
+    """Outputs as [1, 4 + classes + 1, n]; other classes have a small score, too."""
     scores = np.full((len(TRUTH), classes), 0.01)
     scores[np.arange(len(TRUTH)), TRUTH[:, 6].astype(int)] = TRUTH[:, 5]
     return np.hstack([TRUTH[:, :4], scores, TRUTH[:, 4:5]]).T[None]
 
 
 def nms_free():
-    """As [1, n, 7], with the rows of zeros that fill up the rest."""
+    """Outputs as [1, n, 7], padded with rows of zeros."""
     return np.vstack([TRUTH[:, [0, 1, 2, 3, 5, 6, 4]], np.zeros((3, 7))])[None]
 
 
 def mmrotate(large=5, small=4):
-    """dets [1, n, 6] and labels [1, n], in DOTA's numbers."""
+    """Outputs dets [1, n, 6] and labels [1, n], with DOTA's class numbers."""
     return {"dets": TRUTH[None, :, :6], "labels": np.where(TRUTH[:, 6] == 1, small, large)[None]}
 
 
 def depth_network(
     path, gain=1.0, offset=0.0, size=(None, None), rank=4, inputs=1, outputs=("depth",), channels=3, flat=False
 ):
-    """An ONNX file whose outputs are `gain` times the first channel of its picture and `offset`, at half its size."""
+    """An ONNX file whose outputs are `gain` times the first channel of its picture plus `offset`, at half its size."""
     lead = [1] * (rank - 3)
     shape = [*lead, channels, *(n or name for n, name in zip(size, ("h", "w"), strict=True))]
     pictures = [helper.make_tensor_value_info(f"image{k}", onnx.TensorProto.FLOAT, shape) for k in range(inputs)]

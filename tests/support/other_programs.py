@@ -1,4 +1,4 @@
-"""A COLMAP model as OpenSfM, nerfstudio, Bundler and VisualSFM would write it, and what must hold of it then."""
+"""A COLMAP model as OpenSfM, nerfstudio, Bundler and VisualSFM would write it, and checks of the result."""
 
 from __future__ import annotations
 
@@ -53,8 +53,9 @@ def nerfstudio(model, folder: Path, **more) -> Path:
 
 
 def process_data(model, folder: Path) -> None:
-    """What ``ns-process-data images --skip-colmap`` leaves in `folder` (nerfstudio 1.1, process_data/colmap_utils.py):
-    the world turned so that z is up, said by ``applied_transform``, and its points as text; cameras per frame."""
+    """Write what ``ns-process-data images --skip-colmap`` leaves in `folder` (nerfstudio 1.1,
+    process_data/colmap_utils.py): the world rotated so that z is up, as ``applied_transform`` states, and its points as
+    text; cameras per frame."""
     folder.mkdir(parents=True, exist_ok=True)
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     frames = []
@@ -85,7 +86,7 @@ def process_data(model, folder: Path) -> None:
 
 
 def same_views(colmap, other, folder=""):
-    """Rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
+    """Assert that rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
     pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))
     for name in colmap.picture_names[::4]:
         theirs = folder + name
@@ -98,7 +99,8 @@ def same_views(colmap, other, folder=""):
 
 
 def rescaled(model, turn, writer, tmp_path, **options):
-    """The file that `writer` made of `model`, and what `fix` made of it: the scale is right, the input untouched."""
+    """The file that `writer` made from `model`, and the result of `fix` for it; asserts that the scale is right and the
+    input untouched."""
     path = writer(model, tmp_path / "in")
     put_frames(model, tmp_path / "in/images")
     before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
@@ -114,7 +116,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 def track(model, point, first: int, y_up: bool = False) -> str:
-    """Where images saw `point`, from their middle; the first image has the number `first`."""
+    """The track of `point` in images, pixels from their middle; the first image has the number `first`."""
     numbers = {image: k for k, image in enumerate(model.images, first)}
     words = [str(len(point.track.elements))]
     for element in point.track.elements:

@@ -7,7 +7,7 @@ import numpy as np
 
 from support.courts import covered
 
-FINE = 0.11  # [m/px] that pictures are drawn at, at most
+FINE = 0.11  # [m/px] coarsest resolution at which pictures are drawn
 BLUE_TURF, GREEN_TURF, TERRACOTTA = (45, 85, 150), (55, 105, 75), (150, 85, 60)
 CONCRETE, ASPHALT, LAWN = (150, 148, 142), (100, 100, 103), (88, 108, 62)
 HALF_LENGTH, HALF_WIDTH, SERVICE = 10.0, 5.0, 6.95  # [m]
@@ -68,7 +68,7 @@ def padel_picture(
 
 
 def padel_club(number, gsd, rng):
-    """A picture as of `padel_picture`, and its courts: one, or three side by side, in one of many looks."""
+    """A `padel_picture` with random looks, and its courts: one, or three side by side."""
     count, gap, angle = (1, 1, 3)[number % 3], rng.choice([0.2, 1.0, 2.5]), rng.uniform(0, np.pi)
     side = max(count * (10 + gap) + 24, 34)
     shift = (np.arange(count) - (count - 1) / 2) * (10 + gap)

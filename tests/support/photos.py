@@ -66,7 +66,7 @@ def view_from(pitch, roll=0.0):
 
 
 def boxes_in(view, n=40, seed=0, shape=None):
-    """Boxes of a body (a car up to 0.8 m, unless told), sized as CARS, of any heading, on the ground in the picture."""
+    """Boxes of a body (by default a car up to 0.8 m), sized as CARS, of any heading, on the ground in the picture."""
     rng = np.random.default_rng(seed)
     plan, heights = shape or body()
     pixels = rng.uniform([60, 60], np.array(SIZE) - 60, (n, 2))
@@ -91,6 +91,6 @@ def boxes_in(view, n=40, seed=0, shape=None):
 
 
 def detections_of(boxes):
-    """A detector without margin and bias, and with an effective height that is known."""
+    """`boxes` as from a detector without margin and bias, with a known effective height."""
     ruler = Ruler((0, 0), (0.05, 0.05), (0.002, 0.002), 0.0, (0.3, 0.3))
     return Detections(boxes, 1.0, ruler, (0.8, 0.8), "made for this test")

@@ -8,11 +8,12 @@ import numpy as np
 from support.courts import covered
 
 BALLAST, RUST, BRIGHT, TIMBER, SLAB = (120, 114, 106), (78, 62, 52), (205, 205, 205), (150, 146, 140), (140, 138, 132)
-FINE = 0.03  # [m/px] that pictures are drawn at, at most
+FINE = 0.03  # [m/px] coarsest resolution at which pictures are drawn
 
 
 def track(y=0.0, gauge=1.435, head=0.072, sleeper=0.6, length=120.0, bright=BRIGHT, rng=None):
-    """Boxes (x0, y0, x1, y1) [m] with colours: one track along x whose rails' heads are `gauge` apart inside."""
+    """Boxes (x0, y0, x1, y1) [m] with colours: one track along x, with `gauge` between the inner sides of its rail
+    heads."""
     rng = rng or np.random.default_rng(0)
     boxes = []
     if sleeper:

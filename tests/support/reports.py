@@ -1,4 +1,4 @@
-"""Small sources of known truth with reports to draw: rectangles on a plain picture, sized as a fleet's vehicles."""
+"""Small sources of known truth with reports to draw: rectangles on a simple picture, with sizes from a fleet."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MARGIN = (1.0, 0.5)  # px that the boxes are longer and wider than the vehicles
 def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float = 0.0, seed: int = 1) -> dict:
     """Write a picture of `count` German vehicles and its detections.json; returns the truth.
 
-    `drift` : the vehicles at the right are so much smaller (relative, in pixels) than those at the left.
+    drift : relative difference in size [px] by which vehicles at the right are smaller than those at the left.
     """
     random = np.random.default_rng(seed)
     size = load_fleet("DE").sample(random, count)[:, :2]
@@ -52,14 +52,14 @@ def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float
 
 
 def fixed(folder: Path, name: str = "park.png", **options) -> Path:
-    """The report.html of that car park, with the files that come with it."""
+    """Run `fix` on that car park; returns its report.html."""
     out = folder / "scaled.tif"
     orthoscale.fix(folder / name, out, fleet="DE", detections=folder / "detections.json", **options)
     return folder / "scaled.tif.html"
 
 
 def fixed_model(folder: Path, **options) -> Path:
-    """The report.html of the reduced sheffield model, whose frames are not at hand."""
+    """Run `fix` on the reduced Sheffield model, whose frames are not at hand; returns its report.html."""
     detections = options.pop("detections", EXAMPLE / "detections.json")
     orthoscale.fix(EXAMPLE / "sparse", folder / "scaled", fleet="US", detections=detections, **options)
     return folder / "scaled" / "report.html"

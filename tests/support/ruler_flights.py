@@ -1,4 +1,4 @@
-"""Simulated flights over parked vehicles, whose boxes enclose a known height and exceed that by a known margin."""
+"""Simulated flights over parked vehicles, with boxes of known effective height and margin."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .bodies import CAR, UPRIGHT, body
 UNIT = 3.7  # metres
 FOCAL, WIDTH, HEIGHT = 1000.0, 1440.0, 1080.0
 NOISE = (0.8, 0.6)  # px of one box's length and width
-# What the detector claims, and how sure it is: right for none of the flights.
+# The detector's card and its uncertainties; it is right for none of the flights.
 CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD = (0.9, 0.9), (1.5, 1.5), (0.5, 0.5), (2.0, 2.0)
 
 
@@ -48,14 +48,14 @@ def fly(
     altitude: tuple[float, float] = (50.0, 130.0),
     undercut: float = 0.0,
 ) -> Flight:
-    """Frames from 45 to 90 degrees at `altitude` [m] over parked vehicles; boxes reach up to `height` [m] and exceed
-    that by `margin` [px]. On the ground the bodies that they enclose recede by `undercut` [m] on all sides."""
+    """Frames at 45 to 90 degrees and `altitude` [m] over parked vehicles; boxes enclose these up to `height` [m], and
+    exceed that by `margin` [px]. On the ground the enclosed bodies recede by `undercut` [m] on all sides."""
     size = fleet.sample(rng, vehicles)[:, :2]
     place = np.column_stack([rng.uniform(-45, 45, (vehicles, 2)), np.zeros(vehicles)])
     heading = rng.uniform(0, 2 * np.pi, vehicles)
     along = np.stack([np.cos(heading), np.sin(heading), 0 * heading], -1)
     across = np.stack([-np.sin(heading), np.cos(heading), 0 * heading], -1)
-    plan, heights = body(UPRIGHT if undercut else CAR, height)  # what recedes does so in straight lines from the belt
+    plan, heights = body(UPRIGHT if undercut else CAR, height)  # an undercut body recedes straight from the belt line
     offset = plan * size[:, None]
     offset -= np.sign(offset) * np.where(heights == 0, undercut, 0.0)[:, None]
     points = place[:, None] + offset[..., :1] * along[:, None] + offset[..., 1:] * across[:, None]
@@ -96,7 +96,7 @@ def fly(
 
 
 def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.ndarray]:
-    """The ruler that the flight finds, and the error of the scale by lengths and by widths that it leaves."""
+    """The self-calibrated ruler of a flight, and the remaining error of the scale by lengths and by widths."""
     card = OwnRuler.shipped(CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD)
     ruler = self_calibrated(flight.seen(metres_per_unit), flight.members, card)
     size = ruler.size(flight.seen(metres_per_unit)) * UNIT

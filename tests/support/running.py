@@ -1,4 +1,4 @@
-"""Pictures of running tracks with exact truth: lines at one pitch round two straights and two bends."""
+"""Pictures of running tracks with exact truth: lines at a constant spacing around two straights and two bends."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 RED, LAWN, LINES = (150, 78, 66), (84, 112, 62), (224, 222, 216)
-FINE = 0.1  # [m/px] that pictures are drawn at, at most
+FINE = 0.1  # [m/px] coarsest resolution at which pictures are drawn
 STRAIGHT, RADIUS = 84.39, 36.5  # [m] World Athletics' standard track, to the inner edge
 
 
@@ -19,7 +19,7 @@ def running_track(gsd, side, middle=(0.0, 0.0), turn=0.3, lane=1.22, lanes=8, li
     x, y = np.meshgrid(*2 * [((np.arange(pixels * fine) + 0.5) * step - side / 2).astype(np.float32)])
     c, s = np.cos(turn), np.sin(turn)
     u, v = x * c + y * s + middle[0], y * c - x * s + middle[1]
-    # how far from the inner edge, outwards
+    # distance from the inner edge, positive outwards
     out = np.hypot(np.maximum(np.abs(u) - STRAIGHT / 2, 0), v) - RADIUS
     texture = cv2.resize(rng.normal(size=2 * (max(4, int(side / 2)),)).astype(np.float32), x.shape[::-1])
 

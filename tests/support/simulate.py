@@ -22,16 +22,16 @@ from .camera import simple_views
 
 SMALLEST = 5.0  # px: narrower boxes are not detected
 PITCHES = (-90, -75, -60, -45, -30)
-UNIT = 0.07  # metres; that of the views. Nothing depends on it, and no model is told
+UNIT = 0.07  # metres; unit of the views. Nothing depends on it, and models do not know it
 # Vans that fleets of cars leave out: 11 % of the light vehicles of Europe (ACEA: 30 of 280 million). Length and width
-# [m], mean and spread between vehicles, are those of the fleets' table's two segments: of middle size (Transit Custom,
+# [m], mean and spread between vehicles, are those of two segments in the table of fleets: medium (Transit Custom,
 # Vivaro), and large (Transit, Sprinter, Crafter).
 VAN_SHARE = 0.11
-# Of what kinds the vehicles of a class are (people carriers with a bonnet, vans without) is a place's own: as if it had
-# that from so many.
+# Each place has its own shares of vehicle kinds in a class (people carriers with a bonnet, vans without), which vary as
+# if they came from this many vehicles.
 KINDS_LIKE = 5.0
-CLASS_MEAN, CLASS_SPREAD = 0.02, 0.15  # by which the tables are off in each class, one sigma of the logarithm
-LEFT_OF_HIDDEN = (0.5, 0.95)  # share of its length that is seen of a vehicle which stands partly under a tree
+CLASS_MEAN, CLASS_SPREAD = 0.02, 0.15  # errors of the tables' means and spreads per class, one sigma of the logarithm
+LEFT_OF_HIDDEN = (0.5, 0.95)  # visible share of the length of a vehicle partly under a tree
 VANS = np.array([[[5.00, 1.96], [0.13, 0.04]], [[5.75, 2.03], [0.35, 0.04]]])
 
 
@@ -51,7 +51,7 @@ VISLOC = Flight("UAV-VisLoc", 4000.0, (4000.0, 3000.0), (300.0, 600.0))
 
 @dataclass(frozen=True)
 class Body:
-    """What a box encloses: points on an outline, in shares of length and width, at heights [m]."""
+    """The body that a box encloses: points of an outline, in shares of length and width, at heights [m]."""
 
     name: str
     size: tuple[float, float]  # length, width [m]
@@ -68,13 +68,13 @@ class Body:
 
 
 def cuboid(height: float) -> Hull:
-    """The simple case of a hull."""
+    """A cuboid of `height` [m] as a hull."""
     return replace(BODIES["cuboid"], height=height)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Boxes of one flight and what their makers know: altitudes [m] and the pixels of their middles."""
+    """Boxes of one flight, with the altitude [m] for each box, the camera and its pitch [rad]."""
 
     boxes: Boxes
     altitude: np.ndarray
@@ -82,7 +82,7 @@ class Seen:
     pitch: float
 
     def views(self, pitch_error: float = 0.0, focal_error: float = 0.0, unit: float = 1.0) -> Views:
-        """The boxes' views in units of `unit` metres, by a camera taken to have these errors [rad, share]."""
+        """The boxes' views in units of `unit` metres, by a camera assumed with these errors [rad, share]."""
         f, size = self.flight.focal_px * (1 + focal_error), self.flight.image_size
         return simple_views(self.boxes.centre, size, f, self.pitch + pitch_error, self.altitude / unit)
 
@@ -90,8 +90,8 @@ class Seen:
 def fly(rng: np.random.Generator, n: int, flight: Flight, pitch_deg: float, body: Body, tight: bool = False) -> Seen:
     """Boxes of about `n` vehicles, parked in any direction, spread evenly over the image.
 
-    A box lies along the vehicle's heading as the image shows it; with `tight` it is the silhouette's rectangle of least
-    area instead. Vehicles that the image cuts off, that are too small, or whose box is wider than long are left out.
+    A box lies along the vehicle's heading in the image; with `tight` it is the silhouette's rectangle of least area
+    instead. Vehicles that the image cuts off, that are too small, or whose box is wider than long are left out.
     """
     pitch = np.radians(pitch_deg)
     altitude = rng.uniform(*flight.altitude, n)
@@ -130,7 +130,7 @@ def fly(rng: np.random.Generator, n: int, flight: Flight, pitch_deg: float, body
 
 
 def _extents(points: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2) lowest and highest coordinates of points (N, P, 2) in axes turned by `angle` (N,)."""
+    """(N, 2) lowest and highest coordinates of points (N, P, 2) in axes rotated by `angle` (N,)."""
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     turned = np.stack([points[..., 0] * cos + points[..., 1] * sin, points[..., 1] * cos - points[..., 0] * sin], -1)
     return turned.min(1), turned.max(1)
@@ -146,7 +146,7 @@ MESHES = {  # of the synthetic scenes: shape, length, width, height [m]
 
 
 def car_mesh(shape: str, reach: float = np.inf) -> Body:
-    """A mesh with wheels, bumpers and slanting panes, without its mirrors, as far up as `reach` [m]."""
+    """The part below `reach` [m] of a mesh with wheels, bumpers and slanting panes, without its mirrors."""
     length, width, height = MESHES[shape]
     mesh = Vehicle(0, 0, 0, length, width, height, shape).mesh(np.random.default_rng(0))
     a, b = mesh.corners.reshape(-1, 3), np.roll(mesh.corners, -1, axis=1).reshape(-1, 3)
@@ -159,7 +159,8 @@ def car_mesh(shape: str, reach: float = np.inf) -> Body:
 
 
 def cut(body: Body, height: float) -> Body:
-    """What a detector encloses that reaches up to `height` [m]: walls between the body's slabs are straight."""
+    """The part of a body below `height` [m], which a detector of that effective height encloses; walls between the
+    body's levels are straight."""
     slabs = np.unique(body.heights)
     plans = [body.plan[body.heights == h] for h in slabs]
     below = [k for k, h in enumerate(slabs) if h < height]
@@ -174,7 +175,7 @@ def cut(body: Body, height: float) -> Body:
 
 def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
     """Height, lean and corner for which a vehicle gets one size at all pitches, found as in a reconstruction: without
-    metres, here from groups of boxes of one vehicle. What they are shaped like is taken to be one of BODIES."""
+    metres, here from groups of boxes of one vehicle. body : assumed shape, one of BODIES."""
     boxes, views = (
         Boxes.concatenate([s.boxes for s in flights]),
         Views.concatenate([s.views(unit=UNIT) for s in flights]),
@@ -185,15 +186,16 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
 
 
 def _vehicles_of_place(rng: np.random.Generator, fleet: Fleet) -> float:
-    """How many vehicles a place is as if drawn from (`market_segments.Places`)."""
+    """A random number of vehicles from which a place's shares are as if drawn (`market_segments.Places`)."""
     kinds = fleet.place_vehicles
     return float(rng.choice([kind.vehicles for kind in kinds], p=[kind.probability for kind in kinds]))
 
 
 def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
-    """The vehicles of one place of a country: its own shares of all classes, and each class's own models.
+    """The vehicles of one place of a country: with its own shares of all classes, and its own models in each class.
 
-    An odd place has few of its country's vehicles, not classes that are rare there: those are simulated by `with_most`.
+    An unusual place is simulated by few draws from its country's shares, which does not favour classes that are rare
+    there; see `with_most` for those.
     """
     weight = np.array([c.weight for c in fleet.every_class])
     weight = weight / weight.sum()
@@ -207,7 +209,7 @@ def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
 
 
 def not_quite(rng: np.random.Generator, place: Fleet) -> Fleet:
-    """`place` whose classes are not quite the table's: as far off as the pooling takes tables to be."""
+    """`place` with errors in its classes' sizes, as large as the pooling assumes for tables."""
     classes = []
     for c in place.classes:
         off = rng.standard_normal(3)
@@ -219,14 +221,16 @@ def not_quite(rng: np.random.Generator, place: Fleet) -> Fleet:
 
 @dataclass(frozen=True)
 class Vans:
-    """Vans at a place, which are not of its fleet: their share of the vehicles, and that of the large ones of them."""
+    """Vans at a place, which are not in its fleet: their share of the vehicles, and the share of large ones among
+    them."""
 
     share: float = 0.0
     large: float = 0.5
 
     @classmethod
     def of_place(cls, rng: np.random.Generator, fleet: Fleet) -> Vans:
-        """As many as some place has, which differs as in the classes of `fleet`; any share of them are large."""
+        """A random share of vans at a place, which varies like the classes of `fleet`, and a random share of large
+        ones."""
         number = _vehicles_of_place(rng, fleet)
         return cls(rng.beta(number * VAN_SHARE, number * (1 - VAN_SHARE)), rng.random())
 
@@ -237,8 +241,8 @@ class Vans:
 
 
 def called(rng: np.random.Generator, kinds: np.ndarray, ruler: Ruler) -> np.ndarray:
-    """(N, 4) what vehicles of true `kinds` (N,), numbers of `boxes.KINDS`, are called at a place whose shares of
-    mistakes are its own, and -1 for boxes of none, which are called anything; the surer the more."""
+    """(N, 4) probabilities of kinds that a measurer gives to vehicles of true `kinds` (N,), indices into `boxes.KINDS`,
+    or -1 for boxes without a vehicle, which get any kind. Each place has its own rates of confusion."""
     many = len(KINDS)
     table = (1 - CALLED_ANYTHING) * np.array(ruler.kinds) + CALLED_ANYTHING / many
     rows = np.array([*(rng.dirichlet(ruler.kinds_vehicles * row) for row in table), rng.dirichlet(np.ones(many))])
@@ -261,11 +265,11 @@ def car_park(
 ) -> Votes:
     """Votes of `n` boxes in an orthophoto of `gsd` [m/px]; with kinds if `ruler` has a table of them.
 
-    What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
-    margin, the labels' bias, how strongly sizes are drawn to the usual. `vans` stand among the fleet's vehicles;
-    `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with much
-    overlap. most : a class and the share that it has at this place, whatever the country's. hidden : the share of the
-    vehicles of which only a part of the length is seen. exact : whether the tables of the fleet's classes are.
+    Unknown quantities are drawn anew for each scene, with the uncertainties that `fleet` and `ruler` claim: the place's
+    mean sizes, the margin, the boxes' bias, the shrinkage. `vans` stand among the fleet's vehicles; `false`, a share of
+    the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with much overlap. most : a class
+    and its share at this place, whatever the country's. hidden : share of the vehicles of which only a part of the
+    length is visible. exact : whether the tables of the fleet's classes are exact.
     """
     of_kinds, of_hidden, of_tables = rng.spawn(3)  # so that boxes are the same with and without
     unknown = fleet.mean_sd[:2] / fleet.mean[:2]
@@ -299,7 +303,7 @@ def car_park(
 
 
 def with_most(place: Fleet, name: str, share: float) -> Fleet:
-    """`place` where the class of that name has that share of the vehicles."""
+    """`place` with the class `name` having this `share` of the vehicles."""
     rest = sum(c.weight for c in place.classes if c.name != name)
     return replace(
         place,

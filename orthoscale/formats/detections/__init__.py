@@ -1,4 +1,4 @@
-"""Detections in other programs' formats: DOTA text, COCO, GeoJSON, GeoPackage, beside our own JSON."""
+"""Detections in other programs' formats: DOTA text, COCO, GeoJSON, GeoPackage, besides our own JSON."""
 
 from .files import FORMATS, check_name, load, output_of, save
 

@@ -31,7 +31,7 @@ def is_coco(text: Any) -> bool:
 
 
 def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]]:
-    """The boxes of a document, and the size (width, height) of pictures where it tells. Raises InputError."""
+    """The boxes of a document, and the pictures' sizes (width, height) where it has them. Raises InputError."""
     from ..schemas.detections import Coco
 
     whole = checked(text if isinstance(text, dict) else {"annotations": text}, Coco, origin, "COCO's JSON", COCO_HINT)
@@ -75,7 +75,7 @@ def _polygon(annotation: CocoAnnotation) -> np.ndarray:
 
 
 def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], note: Mapping[str, Any]) -> dict:
-    """A COCO data set of `boxes` by picture name; `sizes` (width, height) where known; `note` goes to its info."""
+    """A COCO data set of `boxes` by picture name; `sizes` (width, height) where known; `note` goes into its info."""
     images: list[dict] = []
     annotations: list[dict] = []
     for image_id, (picture, found) in enumerate(boxes.items(), 1):

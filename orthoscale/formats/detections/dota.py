@@ -1,6 +1,6 @@
-"""Text files with four corners and a class, a box per line: DOTA's (https://captain-whu.github.io/DOTA), Ultralytics'.
+"""Text files with a box per line, four corners and a class: DOTA's (https://captain-whu.github.io/DOTA), Ultralytics'.
 
-Labels: ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``, a file per picture, its name the picture's.
+Labels: ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``, a file per picture, with its name.
 Results: ``picture score x1 y1 x2 y2 x3 y3 x4 y4``, a file per class, called ``Task1_class.txt``.
 Ultralytics (https://docs.ultralytics.com/datasets/obb): ``class x1 y1 x2 y2 x3 y3 x4 y4``, for predictions also the
 score; a file per picture, classes as numbers, corners as shares of the picture's width and height.
@@ -20,13 +20,13 @@ from ..reading import read_text
 from .items import Item, short_name
 
 HEADER = ("imagesource:", "gsd:")
-BEYOND = 1.0  # from a picture's middle, in its widths: predicted corners may lie outside of it, by half of it at most
+BEYOND = 1.0  # largest distance of a corner from a picture's middle, in its widths: predictions may lie outside of it
 
 
 def read(path: Path, only_picture: bool) -> list[Item]:
     """The boxes of one file, or of all .txt files of a folder. Raises InputError.
 
-    only_picture : the source has one picture, so a label file need not be called like it.
+    only_picture : the source has one picture only, so that a label file need not have its name.
     """
     if path.is_dir():
         files = sorted(path.glob("*.txt"))
@@ -39,7 +39,7 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     lines = [(number, line, line.split()) for number, line in enumerate(_lines(path), 1)]
     lines = [(n, line, words) for n, line, words in lines if words and not line.lower().startswith(HEADER)]
     of_ultralytics = [_of_ultralytics(words, picture) for _, _, words in lines]
-    if all(of_ultralytics):  # of a single line another reading may be possible
+    if all(of_ultralytics):  # a single line may fit several formats
         return [item for item in of_ultralytics if item is not None]
     for number, line, words in lines:
         item = _label(words, picture) or _result(words, label)

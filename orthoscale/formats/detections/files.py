@@ -1,4 +1,4 @@
-"""Reading and writing detections in the format given by the file's name."""
+"""Reads and writes detections in the format given by the file's name."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ READABLE = {**FORMATS, ".txt": "DOTA or Ultralytics text", ".csv": "a table"}
 
 
 def check_name(path: Path) -> None:
-    """Raises UsageError for a file name that says no format, or one that cannot be written here."""
+    """Raise UsageError if the ending of `path` is not that of a format that can be written here."""
     if path.suffix.lower() not in FORMATS:
         known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise UsageError(f"{path.name}: not an ending of a detections format", f"Known: {known}.")
 
 
 def output_of(outputs: Outputs, path: Path | None) -> Path | None:
-    """Where to write the boxes that are to be kept at `path`, one of the `outputs`; None where none are to be kept.
-    Raises UsageError, OutputError."""
+    """The temporary path at which to write the boxes that are to be saved at `path`, which is added to `outputs`; None
+    if none are to be saved. Raises UsageError, OutputError."""
     if path is None:
         return None
     check_name(path)
@@ -52,10 +52,11 @@ def output_of(outputs: Outputs, path: Path | None) -> Path | None:
 
 
 def save(found: Detections, path: Path, source: Pictures) -> None:
-    """Write `found` to `path` in the format that its name says. Raises UsageError.
+    """Write `found` to `path` in the format of its ending. Raises UsageError.
 
-    `load` gives back what was saved, to the digits written, from all but DOTA's text. That holds the vehicles' corners,
-    scores and pictures, and nothing else: no zoom, ruler, sigmas, kinds, boxes that do not count, objects or plans.
+    From all formats but DOTA's text, `load` restores everything that was saved, to the digits written. DOTA's text has
+    only the vehicles' corners, scores and pictures: no zoom, ruler, sigmas, kinds, boxes that do not count, objects or
+    ground pictures.
     """
     check_name(path)
     suffix = path.suffix.lower()
@@ -75,18 +76,18 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
 
 
 def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alone: bool = True) -> Detections:
-    """The vehicles that a file, or a folder of DOTA's or Ultralytics' labels, has of the pictures of `source`.
+    """The vehicles in the pictures of `source`, from a file or from a folder of DOTA's or Ultralytics' labels.
 
-    vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles. Standard
-    objects (tennis courts ...) come along as `Detections.objects`. Boxes of others have no ruler: theirs is one that
-    nobody has measured. Boxes that repeat one vehicle count once. Boxes of a single picture are taken for those of a
-    source's single picture whatever its name, with a note, unless the file is for other sources too (not `alone`).
+    vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles. alone :
+    whether the file is for this source only. Standard objects (tennis courts ...) become `Detections.objects`. Boxes
+    from other programs have no known ruler: they get that of an unmeasured detector. Boxes that repeat a vehicle are
+    left out. If file and source have a single picture each, the names need not agree, with a note, if it is `alone`.
     Raises InputError.
     """
     suffix = path.suffix.lower()
     kept: Mapping[str, Any] | None = None
     own_sizes = _sizes(source)
-    sizes: dict[str, tuple[int, int]] = {}  # as the file tells them
+    sizes: dict[str, tuple[int, int]] = {}  # as in the file
     items: list[Item]
     if path.is_dir() or suffix == ".txt":
         items = dota.read(path, only_picture=len(source.picture_names) == 1 and not path.is_dir())
@@ -121,7 +122,7 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
 def _of_own_document(
     found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]], alone: bool
 ) -> Detections:
-    """What our own format says, of the pictures of `source`. Raises InputError."""
+    """The vehicles in the pictures of `source`, from a file in our own format. Raises InputError."""
     aside = [name for some in found.set_aside.values() for name in some]
     other = None
     if alone and len(found) and found.planar is None:
@@ -132,8 +133,8 @@ def _of_own_document(
 
 
 def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Path) -> list[Item]:
-    """Boxes of a format that numbers its classes and does not name them: those of the wanted numbers, or all where
-    there is one class only. Raises InputError where the user must choose."""
+    """The items to use from a format whose classes have numbers but no names: all, their labels removed unless the user
+    wants certain classes. Raises InputError if there are several classes and the user chose none."""
     numbers = sorted({item.label for item in items if item.label is not None}, key=int)
     if not vehicle_classes and len(numbers) > 1:
         raise InputError(
@@ -181,11 +182,11 @@ def _checked(
     sizes: Mapping[str, tuple[int, int]],
     other: str | None = None,
 ) -> Detections:
-    """`found` without pictures that `source` does not have, those of a workspace's other models, and without boxes that
-    repeat another. sizes : of the source's pictures. other : what the file calls the single picture, where that is
-    another name than the source's.
+    """`found` without pictures that `source` does not have (as of a workspace's other models), and without boxes that
+    repeat another. sizes : of the source's pictures. other : the file's name for the single picture, if it differs from
+    the source's.
 
-    Raises InputError where it has none of them, or boxes outside of them or that cannot be meant.
+    Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
     """
     known = source.picture_names
     names = {in_utf8(name): name for name in known}
@@ -231,7 +232,7 @@ def _checked(
 
 
 def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
-    """`found` with `name` of each picture's name."""
+    """`found` with `name` applied to each picture's name."""
     boxes = {name(picture): each for picture, each in found.boxes.items()}
     doubtful = {name(picture): each for picture, each in found.doubtful.items()}
     set_aside = {why: {name(p): each for p, each in some.items()} for why, some in found.set_aside.items()}
@@ -241,7 +242,7 @@ def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
 
 
 def _only(found: Detections, pictures: Container[str]) -> Detections:
-    """`found` without what is of other pictures."""
+    """`found` restricted to these `pictures`."""
 
     def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
         return {name: each for name, each in some.items() if name in pictures}
@@ -256,9 +257,9 @@ def _only(found: Detections, pictures: Container[str]) -> Detections:
 
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
-    """Raise InputError for boxes that cannot be meant, whatever the format that they came in."""
+    """Raise InputError for impossible boxes, whatever format they came in."""
     if found.planar is not None:
-        _check_boxes(found.planar, {}, path)  # in plans, whose sizes a file does not tell
+        _check_boxes(found.planar, {}, path)  # in ground pictures, whose sizes are not in the file
     every = (found.boxes, found.doubtful, *found.set_aside.values())
     parts = [part for some in every for part in some.items()]
     parts += [(name, boxes) for name, kinds in found.objects.items() for boxes in kinds.values()]

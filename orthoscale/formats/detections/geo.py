@@ -1,7 +1,7 @@
 """Detections as map features: GeoJSON (RFC 7946), and GeoPackage in the raster's own coordinates.
 
-A picture without georeferencing has pixel coordinates, in GeoJSON one in local metres too. They are written with rows
-as negative y, as QGIS shows such pictures, and read with either sign.
+Features of a picture without georeferencing have pixel coordinates; in GeoJSON, so have those of one in local metres.
+They are written with negative rows as y, as QGIS shows such pictures, and read with either sign.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
 
 LAYER = "vehicles"
-# Columns of a GeoPackage, which has no lists, by the list that each is of.
+# GeoPackage has no lists: the columns that hold the values of each list.
 LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
 
@@ -45,7 +45,7 @@ class Georeference:
 
     @classmethod
     def of(cls, claim: Claim) -> Georeference | None:
-        """By the georeferencing of a picture; None where it has no coordinate reference system."""
+        """From the georeferencing of a picture; None if it has no coordinate reference system."""
         if claim.crs is None or claim.transform is None:
             return None
         return cls(claim.transform, claim.crs.to_wkt(), claim.usable)
@@ -56,12 +56,12 @@ class Georeference:
         return points if crs is None else np.column_stack(_transformer(self.crs, crs).transform(*points.T))
 
     def to_degrees(self, pixels: np.ndarray) -> np.ndarray:
-        """(K, 2) longitudes and latitudes of one shape's (K, 2) pixels, see `about_meridian`."""
+        """(K, 2) longitudes and latitudes [deg] of one shape's (K, 2) pixels, see `about_meridian`."""
         return about_meridian(self.to_map(pixels, WGS_84))
 
     def to_pixels(self, points: np.ndarray, crs: str | None = None) -> np.ndarray:
-        """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own. Raises pyproj's errors where the one
-        cannot be transformed into the other; local metres are taken for the raster's own."""
+        """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own. Raises pyproj's errors if one cannot
+        be transformed into the other; if both are local metres, they are taken to be the same."""
         if crs is not None and not (_is_local(crs) and _is_local(self.crs)):
             points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
             points = near_on_map(points, self.crs, self.transform.c)
@@ -77,7 +77,7 @@ def _transformer(source: str, target: str):
 
 @cache
 def _is_local(crs: str) -> bool:
-    """Whether it has no place on Earth, so that nothing can be transformed into it."""
+    """Whether `crs` has no place on Earth, so that nothing can be transformed into it."""
     from pyproj import CRS
 
     return CRS.from_user_input(crs).type_name == "Engineering CRS"
@@ -98,7 +98,7 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | Non
     whole = checked(
         text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."
     )
-    # QGIS and GDAL write a CRS, though RFC 7946 does not know it.
+    # QGIS and GDAL write a CRS, though RFC 7946 has none.
     crs = whole.crs.properties.name if whole.crs is not None else WGS_84
     if whole.orthoscale is not None and whole.orthoscale.coordinates == PIXELS:
         place = None
@@ -112,7 +112,7 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | Non
 
 
 def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mapping[str, Any]) -> dict:
-    """A document of `boxes` by picture name, in longitude and latitude where `place` is on Earth."""
+    """A document of `boxes` by picture name, in longitude and latitude if `place` is on Earth, else in pixels."""
     if place is not None and not place.on_earth:
         place = None
     features = []
@@ -129,7 +129,7 @@ def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mappin
 
 
 def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item], dict[str, Any] | None]:
-    """The boxes of the layer `vehicles`, or else the first, and what `write_geopackage` said about them.
+    """The boxes of the layer `vehicles`, or else of the first layer, and the note that `write_geopackage` added.
 
     Raises InputError.
     """
@@ -164,7 +164,7 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
 def write_geopackage(
     path: Path, boxes: Mapping[str, Boxes], place: Georeference | None, note: Mapping[str, Any]
 ) -> None:
-    """Write the layer `vehicles`, in the raster's own coordinates where `place` is known."""
+    """Write the layer `vehicles`, in the raster's own coordinates if `place` is known, else in pixels."""
     import warnings
 
     import pyogrio.raw
@@ -270,7 +270,7 @@ def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
 
 
 def _list(properties: Mapping[str, Any], of: str) -> list[float]:
-    """A list that `LISTS` names, NaN where there is none."""
+    """The values of the list `of`, one of `LISTS`; NaN where they are missing."""
     values = properties.get(of)
     if isinstance(values, str):  # GDAL and QGIS turn lists into text
         values = values.strip("[] ").split(",")
@@ -280,7 +280,7 @@ def _list(properties: Mapping[str, Any], of: str) -> list[float]:
 
 
 def _number(value: Any) -> float:
-    """NaN for what is none."""
+    """`value` as a float; NaN if it is not a number."""
     try:
         return float(value)
     except (OverflowError, TypeError, ValueError):

@@ -15,22 +15,22 @@ from ...errors import InputError, shown
 from ..names import in_utf8
 from .classes import is_vehicle
 
-FARTHEST_PX = 1e7  # [px]
-# What programs call these properties of a box; the first that is there counts.
+FARTHEST_PX = 1e7  # largest plausible coordinate of a vertex [px]
+# Names that programs give to these properties of a box; the first that is present counts.
 PICTURE = ("picture", "image", "file_name", "filename")
 SCORE_NAMES = ("score", "confidence", "conf", "probability")
 CLASS = ("class", "label", "category", "class_name", "name", "kind")
 UNKNOWN = (None,) * len(KINDS)
-LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
+LABEL = "small-vehicle"  # class of our own boxes in the formats of others; DOTA's name
 
 
 @dataclass(frozen=True)
 class Item:
     """One detection as a file has it.
 
-    polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file names none. label : class
+    polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file has none. label : class
     name, None where the file has none; such boxes count as vehicles. sigma, kinds : as in `Boxes`, None where unknown.
-    relative : the polygon is in shares of the picture's width and height instead.
+    relative : the polygon's coordinates are shares of the picture's width and height instead of pixels.
     """
 
     polygon: np.ndarray
@@ -45,8 +45,8 @@ class Item:
 def rectangles(polygons: Sequence[np.ndarray]) -> np.ndarray:
     """(N, 5) centre x, y, length, width, angle of the rectangles that polygons (K, 2 each) stand for.
 
-    Four corners in order: the mean of opposite sides, because the rectangle around hand-drawn corners is always too
-    large. Anything else: the smallest rectangle around it; NaN where a vertex lies nowhere.
+    Four corners in order give the mean of opposite sides, because the smallest rectangle around hand-drawn corners is
+    always too large. Anything else gives the smallest rectangle around it; NaN if a vertex is not finite or too far.
     """
     out = np.full((len(polygons), 5), np.nan)
     opened = [p[:-1] if len(p) > 1 and (p[0] == p[-1]).all() else p for p in (np.asarray(p, float) for p in polygons)]
@@ -64,7 +64,7 @@ def rectangles(polygons: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _of_corners(p: np.ndarray) -> np.ndarray:
-    """(N, 5) rectangles of four corners (N, 4, 2); NaN where they are not in order, or those of something else."""
+    """(N, 5) rectangles of four corners (N, 4, 2); NaN where these are not in order, or far from a rectangle."""
     with np.errstate(invalid="ignore", over="ignore"):
         sides = np.roll(p, -1, axis=1) - p  # opposite ones are antiparallel
         first, second = (sides[:, 0] - sides[:, 2]) / 2, (sides[:, 1] - sides[:, 3]) / 2
@@ -84,12 +84,12 @@ def boxes_by_picture(
     origin: str,
     sizes: Mapping[str, tuple[int, int]],
 ) -> dict[str, Boxes]:
-    """Boxes of the vehicles among `items`, by the names that the source's `pictures` have.
+    """Boxes of the vehicles among `items`, by the source's names of its `pictures`.
 
-    sizes : (width, height) of the pictures, for items that are `relative` to them. A name may lack its suffix or its
-    folder, as in DOTA and COCO, where that leaves no doubt; names that the source does not have stay as they are.
-    Raises InputError for items without vehicles, or of pictures that cannot be told; `origin` names the file. Whether
-    the boxes can be meant is for `files.load` to check.
+    sizes : (width, height) of the pictures, for items that are `relative` to them. A picture's name in an item may lack
+    its suffix or its folder, as in DOTA and COCO, if it is still unique; names unknown to the source stay as they are.
+    Raises InputError if no item is a vehicle, or the picture of an item is ambiguous; `origin` names the file. That the
+    boxes are plausible is checked by `files.load`.
     """
     labels = {item.label for item in items if item.label is not None}
     counted = [item for item in items if item.label is None or is_vehicle(item.label, vehicle_classes)]
@@ -116,7 +116,7 @@ def boxes_by_picture(
 
 
 def other_name(named: Collection[str | None], pictures: Sequence[str]) -> str | None:
-    """What boxes call their only picture, where the source has a single one of another name; None elsewhere. `named` :
+    """The boxes' name for their only picture, if the source has a single picture of another name; else None. named :
     the pictures of all boxes."""
     if len(pictures) != 1 or len(set(named)) != 1:
         return None
@@ -125,19 +125,19 @@ def other_name(named: Collection[str | None], pictures: Sequence[str]) -> str | 
 
 
 def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:
-    """The first of a box's properties that is called one of `names` and says something; None without one."""
+    """The value of the first of a box's properties that is called one of `names` and is not None; None without one."""
     return next((properties[name] for name in names if properties.get(name) is not None), None)
 
 
 def short_name(picture: str, pictures: Sequence[str]) -> str:
-    """A picture's name without suffix, as DOTA has it, where no other picture shares that."""
+    """A picture's name without its suffix, as in DOTA, unless another picture has the same; then its full name."""
     short = str(PurePosixPath(picture).with_suffix(""))
     shared = sum(str(PurePosixPath(p).with_suffix("")) == short for p in pictures) > 1
     return picture if shared else short
 
 
 def _names(pictures: Sequence[str]) -> dict[str, str | None]:
-    """What a picture may be called; None where two could be meant."""
+    """The picture meant by each name that files may use for it; None where it is ambiguous."""
     names: dict[str, str | None] = {}
     for picture in pictures:
         path = PurePosixPath(picture)

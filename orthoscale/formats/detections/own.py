@@ -27,10 +27,10 @@ BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle"
 
 def save_detections(found: Detections, path: str | Path) -> None:
     """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians; names that
-    are not UTF-8 as `in_utf8` has them.
+    are not UTF-8 are escaped by `in_utf8`.
 
-    Raises UsageError for what is no path, and for another ending: the other formats need the pictures too, see
-    `files.save`; OSError.
+    Raises UsageError if `path` is no path or has another ending (the other formats need the pictures too, see
+    `files.save`); OSError.
     """
     path = path_of(path, f"the path of {WHAT}")
     if path.suffix.lower() != ".json" or path.name.lower().endswith(".coco.json"):
@@ -39,14 +39,14 @@ def save_detections(found: Detections, path: str | Path) -> None:
 
 
 def load_detections(path: str | Path) -> Detections:
-    """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError; UsageError for what is
+    """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError; UsageError if `path` is
     no path."""
     path = path_of(path, f"the path of {WHAT}")
     return of_document(read_plain(path, WHAT, BOXES_HINT, LARGE), path)
 
 
 def of_document(text: Any, path: Path) -> Detections:
-    """The same from the plain values that are in the file `path`. Raises InputError."""
+    """The same from `text`, the plain values in the file `path`. Raises InputError."""
     from ..schemas.detections import BoxesByPicture, DetectionsEntry
 
     name = f"boxes of {path.name}"
@@ -70,15 +70,15 @@ def about(found: Detections) -> dict[str, Any]:
 
 
 def note(found: Detections) -> dict[str, Any]:
-    """What a file of another format keeps beside the vehicles' boxes, so that `noted` gives back all: `about`, the
-    boxes that do not count, the objects, and what `planar` holds, as plain values."""
+    """What a file of another format keeps besides the vehicles' boxes, so that `noted` can restore everything: `about`,
+    the boxes that do not count, the objects, and `planar`, as plain values."""
     objects = {name: rows for name in found.objects if (rows := _object_rows(found, name))}
     return {**about(found), **_rest(found), **({"objects": objects} if objects else {})}
 
 
 def noted(boxes: dict[str, Boxes], note: Mapping[str, Any] | None, name: str, origin: str) -> Detections:
-    """Boxes from a file, with the `note` that it keeps of them; without one they are those of `name`, a detector
-    that nobody has measured. Raises InputError, which calls the file `origin`."""
+    """Boxes from a file, with the `note` in it; without a note they get the unknown ruler of an unmeasured detector
+    called `name`. Raises InputError, which calls the file `origin`."""
     if note is None:
         return Detections(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, name)
     from ..schemas.detections import NoteEntry
@@ -156,8 +156,8 @@ def _rows(boxes: Boxes) -> list[dict[str, Any]]:
 
 
 def measured_notes(boxes: Boxes) -> list[dict[str, list[float | None]]]:
-    """What a file says of each box's sigma and kinds, nothing where they are not known."""
-    assert boxes.sigma is not None and boxes.kinds is not None  # since they were made
+    """For each box, what a file says about its sigma and kinds; empty where they are not known."""
+    assert boxes.sigma is not None and boxes.kinds is not None  # `Boxes` sets both when it is created
     notes: list[dict[str, list[float | None]]] = []
     for sigma, kinds in zip(boxes.sigma.tolist(), boxes.kinds.tolist(), strict=True):
         known = {} if np.isnan(sigma).all() else {"sigma": [round(v, 5) if np.isfinite(v) else None for v in sigma]}

@@ -1,7 +1,7 @@
-"""A CSV table of boxes, a line each, under the names of its columns.
+"""A CSV table with a box per line, and named columns.
 
 ``cx,cy,length,width`` [px] and ``angle`` [rad] or ``angle_deg`` are needed, as in orthoscale's own JSON; ``score``, the
-picture and the class may come too, under the names that GeoJSON's properties have.
+picture and the class are optional, under the same names as GeoJSON's properties.
 """
 
 from __future__ import annotations

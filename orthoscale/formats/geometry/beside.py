@@ -16,7 +16,7 @@ class Referred:
     absent: list[str] = field(default_factory=list)
 
     def add(self, path: Path, names: Iterable[str]) -> list[Path]:
-        """Look for `names` as the file `path` refers to them; returns those that are there."""
+        """Look for `names` as the file `path` refers to them; returns those that exist and are new."""
         found = {name: beside(path, name) for name in names if name}
         there = [place for place in found.values() if place is not None and place not in self.there]
         self.there += there
@@ -25,12 +25,12 @@ class Referred:
 
 
 def beside(path: Path, name: str) -> Path | None:
-    """The file `name` as the file `path` refers to it, from its own folder; None where there is none."""
+    """The file `name` as the file `path` refers to it, from its own folder; None if it does not exist."""
     return file_in(path.parent, name) if name else None
 
 
 def file_in(folder: Path, name: str) -> Path | None:
-    """The file `name`, with the folders before it, in `folder`; None where there is none. Programs on Windows write
-    backslashes between folders, which are letters of a name elsewhere."""
+    """The file `name`, a relative path, in `folder`; None if it does not exist. Programs on Windows separate folders by
+    backslashes, which are ordinary characters of a name elsewhere."""
     places = (folder / name, folder / name.replace("\\", "/"))
     return next((place for place in places if os.path.isfile(place)), None)  # noqa: PTH113  pathlib's raises if too long

@@ -1,4 +1,4 @@
-"""COLMAP's dense workspace in metres: undistorted model, depth maps, clouds, meshes; what has no lengths is copied."""
+"""Writes COLMAP's dense workspace in metres: undistorted model, depth maps, clouds, meshes; other files are copied."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..reading import HUGE, files_below, read_bytes
 from .lengthless import has_lengths
 
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
-MOST_LEFT_NAMED = 20  # of the files that are left; OpenMVS has a depth map for each image
+MOST_LEFT_NAMED = 20  # files left out that a note names; OpenMVS has a depth map for each image
 COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it anew."
 
 
@@ -32,7 +32,7 @@ def read_depth_map(path: Path) -> np.ndarray:
 
 
 def _depth_map(path: Path) -> tuple[bytes, np.ndarray]:
-    """The head of COLMAP's depth map, and its depths (height, width). Raises InputError."""
+    """The header of COLMAP's depth map, and its depths (height, width). Raises InputError."""
     data = read_bytes(path, COMPUTE_ANEW, HUGE)
     try:
         *shape, rest = data[:64].split(b"&", 3)
@@ -57,7 +57,8 @@ def is_dense(folder: Path) -> bool:
 def find_dense(model: Path) -> Path | None:
     """The dense workspace that belongs to the sparse model in the folder `model`, where COLMAP would have put it.
 
-    ``W/dense/sparse`` lies in its own; ``W/sparse`` has ``W/dense``; ``W/sparse/0`` has ``W/dense/0`` or ``W/dense``.
+    That of ``W/dense/sparse`` is ``W/dense``; of ``W/sparse``, ``W/dense``; of ``W/sparse/0``, ``W/dense/0`` or
+    ``W/dense``.
     """
     for home in homes(model):
         places = [home.parent, home.parent / "dense", home / "dense"]
@@ -79,10 +80,10 @@ def sparse_folders(dense: Path) -> list[Path]:
 def scale_dense(
     source: Path, target: Path, scale: float, model: Callable[[Path, Path], None], any_file: Callable[[Path, Path], str]
 ) -> list[str]:
-    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say.
+    """Write the dense workspace `source` into the empty folder `target` in metres; returns notes for the user.
 
     model : writes the sparse model in one folder into another, in metres. any_file : writes one file in metres, or
-    says why it cannot; such a file is left out. Raises what these raise, and InputError for a damaged depth map.
+    returns why it cannot; such a file is left out. Raises what these raise, and InputError for a damaged depth map.
     """
     left, scaled = [], 0
     for path in files_below(source):

@@ -25,7 +25,7 @@ KNOWN = (
     "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, cameras.json, "
     "bundle.out, NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
-# Formats of one file each.
+# Formats that consist of a single file.
 ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
     ".las": scale_las,
     ".laz": scale_las,
@@ -40,13 +40,13 @@ WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".glb": scale_glb, ".gltf":
 
 
 class WrittenFiles:
-    """Where the files of one run go, lest one takes the place of another that only has the same name."""
+    """The files that one run writes, so that no file replaces a different one of the same name."""
 
     def __init__(self) -> None:
         self._sources: dict[Path, Path] = {}
 
     def take(self, place: Path, source: Path) -> bool:
-        """Whether `source` is still to be written to `place`. Raises UsageError if what differs from it went there."""
+        """Whether `source` must still be written to `place`. Raises UsageError if another file was written there."""
         first = self._sources.setdefault(place, source)
         if first is not source and not filecmp.cmp(first, source, shallow=False):
             raise UsageError(
@@ -57,10 +57,10 @@ class WrittenFiles:
 
 
 def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | None = None) -> list[str]:
-    """Write the file `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is
-    to say.
+    """Write the file `source`, in model units, to `target`, in metres: all lengths times `scale`; returns notes for the
+    user.
 
-    Files that it refers to (materials, buffers, point clouds) come along beside `target`. others : what was written
+    Files that it refers to (materials, buffers, point clouds) are written beside `target`. others : files written
     before. Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
     """
     others = others or WrittenFiles()
@@ -93,8 +93,8 @@ def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | 
 
 
 def place_beside(path: Path, source: Path) -> Path:
-    """Where a file that `source` refers to lies, from the folder of `source`. Links count by their own place, not by
-    that of the files behind them. Raises InputError for one outside of it: a copy would have to lie there as well."""
+    """The path of a file that `source` refers to, relative to the folder of `source`; links are not resolved. Raises
+    InputError for a file outside of that folder: its copy would lie outside of the output folder as well."""
     place, home = Path(os.path.abspath(path)), os.path.abspath(source.parent)
     if not place.is_relative_to(home):
         raise InputError(f"{source} refers to {path}, which lies outside its folder", "Move both into one folder.")
@@ -102,19 +102,19 @@ def place_beside(path: Path, source: Path) -> Path:
 
 
 def _beside(path: Path, source: Path, target: Path) -> Path:
-    """Where a file that `source` refers to is written, beside `target`; its folder is made."""
+    """The path beside `target` at which to write a file that `source` refers to; its folder is created."""
     out = target.parent / place_beside(path, source)
     out.parent.mkdir(parents=True, exist_ok=True)
     return out
 
 
 def reason_left(source: Path, target: Path, scale: float) -> str:
-    """Write one file in metres and return '', or return why it cannot be (an unknown format, in metres already).
-    Raises InputError for one that is damaged."""
+    """Write one file in metres and return ''; or return why that is impossible (unknown format, in metres already).
+    Raises InputError for a damaged file."""
     suffix = source.suffix.lower()
     if suffix not in {*WITH_OTHERS, *ONE_FILE}:
         return _unknown(source)
-    # Logs of other programs end in .out, too.
+    # Logs of other programs may end in .out, too.
     left = (UsageError, InputError) if suffix == BUNDLER else UsageError
     try:
         scale_file(source, target, scale)

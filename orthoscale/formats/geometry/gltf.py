@@ -1,8 +1,8 @@
-"""glTF 2.0, as .glb or .gltf: every root gets a node with the scale above it, so that no buffer is changed.
+"""glTF 2.0, as .glb or .gltf: every root gets a parent node with the scale, so that no buffer is changed.
 
-That node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Not below it
-are the centre that 3D Tiles add (CESIUM_RTC), and what cameras, lights and clear materials say of themselves (glTF
-2.0, 3.10.3; KHR_lights_punctual; KHR_materials_volume): a node's scale does not act on these.
+That node scales all that is below it: meshes, skins, animations, quantised or compressed geometry. It does not affect
+the centre that 3D Tiles add (CESIUM_RTC), nor the lengths of cameras, lights and transparent materials (glTF 2.0,
+3.10.3; KHR_lights_punctual; KHR_materials_volume): these are scaled one by one.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
-WITHOUT_END = 3.4e38  # how far is said by the largest number that a reader may hold (32 bit)
+WITHOUT_END = 3.4e38  # a length that would exceed this stays as it is: the largest 32-bit float stands for infinity
 ATTENUATION = "attenuationDistance"  # of light in a material, in the world's unit (KHR_materials_volume)
 CAMERA_LENGTHS = ("xmag", "ymag", "znear", "zfar")
-NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
+NOT_BESIDE = ("data:", "http:", "https:")  # beginnings of URIs that are not files beside it
 
 
 def scale_glb(source: Path, target: Path, scale: float) -> Referred:
@@ -68,15 +68,15 @@ def _referred(source: Path, text: dict[str, Any]) -> Referred:
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
-    """`text` with one scaling node above each root: what scenes begin with, and what is below no other node, for a file
-    need not have scenes."""
+    """`text` with a scaling node above each root: the root nodes of scenes, and nodes without a parent, as a file need
+    not have scenes."""
     from ..schemas.gltf import Gltf
 
     hint = "Export the mesh as a glTF 2.0 scene."
     checked(text, Gltf, str(path), A_SCENE, hint)
     asset, nodes, scenes = text["asset"], text.get("nodes", []), text.get("scenes", [])
     extras = asset.get("extras", {})
-    if not isinstance(extras, dict):  # any value may stand there
+    if not isinstance(extras, dict):  # the format allows any value
         extras = {"extras": extras}
     if MARK in extras:
         refuse_marked(path)
@@ -89,7 +89,7 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
         raise InputError(f"{path}: it has no nodes to scale", hint)
     above = {root: len(nodes) + k for k, root in enumerate(roots)}
     for scene in scenes:
-        if "nodes" in scene:  # an empty list is none
+        if "nodes" in scene:  # an empty list is not allowed
             scene["nodes"] = [above[root] for root in scene["nodes"]]
     nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in roots]
     extensions = text.get("extensions") or {}

@@ -1,5 +1,5 @@
-"""LAS and LAZ (ASPRS, LAS 1.4 R15): coordinates are whole numbers times a factor plus an offset, and the header has
-these. So only the header changes, whether points are compressed or not.
+"""LAS and LAZ (ASPRS, LAS 1.4 R15): coordinates are whole numbers times a factor plus an offset, both in the header. So
+only the header changes, whether points are compressed or not.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from ...errors import InputError, UsageError
 from ..reading import EXPORT_ANEW
 from .mark import MARK, refuse_marked
 
-# Offsets in the header.
+# Offsets in the header [bytes].
 SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, HEADER_LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
-LEAST_HEADER = 227  # [bytes] of a header
-DOUBLES = 12  # of HEADER_LENGTHS: factors and offsets by axis, then largest and smallest coordinates
+LEAST_HEADER = 227  # [bytes] smallest size of a header
+DOUBLES = 12  # numbers from HEADER_LENGTHS on: factors and offsets by axis, then largest and smallest coordinates
 WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
 PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
 
 
 def scale_las(source: Path, target: Path, scale: float) -> None:
     """Write the LAS or LAZ file `source` to `target` in metres. Raises InputError; UsageError for one that is in metres
-    already, or has a place on Earth."""
+    already, or georeferenced."""
     with source.open("rb") as file:
         head = bytearray(file.read(LEAST_HEADER))
         if len(head) < LEAST_HEADER or head[:4] != b"LASF":
@@ -36,7 +36,7 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
         for user, record, content in _records(source, file, bytes(head)):
             if user == b"copc":
                 raise InputError(f"{source}: COPC cannot be scaled", "Convert it to plain LAZ first.")
-            keys = record == GEOKEYS and content[6:8].strip(b"\0")  # how many there are
+            keys = record == GEOKEYS and content[6:8].strip(b"\0")  # the number of keys
             if user == PROJECTION and (keys or (record == WKT and content.strip(b"\0 "))):
                 raise UsageError(
                     f"{source} is georeferenced, and so not in the model's units",
@@ -52,7 +52,7 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
 
 
 def _records(path: Path, file: BinaryIO, head: bytes) -> Iterator[tuple[bytes, int, bytes]]:
-    """User, number and the first bytes of each variable length record, those behind the points included."""
+    """User, number and the first bytes of each variable length record, including those after the points."""
     size = path.stat().st_size
     (start,), (count,) = struct.unpack_from("<H", head, HEADER_SIZE), struct.unpack_from("<I", head, RECORDS)
     yield from _walk(path, file, size, start, count, "<H16sHH32x")

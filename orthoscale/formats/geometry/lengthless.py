@@ -1,4 +1,4 @@
-"""Which files of a workspace have no lengths: they are the same in metres, and may be copied as they are."""
+"""Decides which files of a workspace contain no lengths, so that they can be copied unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LENGTHLESS_MAPS = {"normal_maps", "consistency_graphs"}
 
 
 def has_lengths(path: Path) -> bool:
-    """Whether the file at `path` may have lengths in it, by its name; every kind that is not known may."""
+    """Whether the file at `path` may contain lengths, by its name; true for unknown kinds."""
     if path.suffix.lower() == ".bin":
         return path.parent.name not in LENGTHLESS_MAPS
     return path.suffix.lower() not in LENGTHLESS

@@ -1,4 +1,4 @@
-"""Points and meshes in lines of text: XYZ, PTS, OFF and the ASCII form of STL. Only what has a length is changed.
+"""Points and meshes as lines of text: XYZ, PTS, OFF and the ASCII form of STL. Only lengths are changed.
 
 These formats have no room for a mark.
 """
@@ -17,13 +17,14 @@ from .words import grown
 
 POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
 COMMENTS = (b"#", b"//")
-SURELY = 5  # points whose numbers are no coordinates by chance
+SURELY = 5  # points after which a first column that counts is not taken for coordinates
 OFF_HEAD = re.compile(rb"(ST)?C?N?(4?n?)OFF(\s+BINARY)?\s*")
 
 
 def scale_points(source: Path, target: Path, scale: float) -> None:
-    """Write the points in `source`, a line each, to `target` in metres: the first three numbers of a line, or those
-    that a first line of names calls x, y and z. Raises InputError, also where the first column seems to number them."""
+    """Write the points in `source`, one per line, to `target` in metres. Their coordinates are the first three numbers
+    of a line, or the columns x, y and z of a header line. Raises InputError, also if the first column seems to number
+    the points."""
     columns, count, numbered = [0, 1, 2], 0, True
     separator: bytes | None = None
     with source.open("rb") as file, target.open("wb") as out:
@@ -65,7 +66,7 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
         for k in range(vertices := int(counts[0])):
             words = _kept(file, out).split()
             out.write(_scaled(f"{source}, vertex {k} of {vertices}", words, (0, 1, 2), scale))
-        # Where vertices share a line, what was scaled above are faces.
+        # If the file has several vertices per line, the lines scaled above included faces: then faces are missing here.
         faces = int(counts[1]) if len(counts) > 1 and counts[1].isdigit() else 0
         for k in range(faces):
             out.write(line := _kept(file, out))
@@ -75,7 +76,7 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
 
 
 def scale_ascii_stl(source: Path, target: Path, scale: float) -> None:
-    """Write the STL file `source`, of text, to `target` in metres. Raises InputError."""
+    """Write the STL text file `source` to `target` in metres. Raises InputError."""
     count = 0
     with source.open("rb") as file, target.open("wb") as out:
         for number, line in enumerate(file, 1):
@@ -89,30 +90,30 @@ def scale_ascii_stl(source: Path, target: Path, scale: float) -> None:
 
 
 def _words(line: bytes, separator: bytes | None) -> tuple[list[bytes], bytes | None]:
-    """The words of a line, and what is between them: None for blanks; found where three words are."""
+    """The words of a line, and their separator: None for blanks. It is recognised if there are three words or more."""
     if separator is not None:
         return line.strip().split(separator), separator
     words = line.split()
-    for mark in (b";", b","):  # a comma within a word is a decimal one
+    for mark in (b";", b","):  # a comma within a word is a decimal comma
         if line.count(mark) >= 2 and (len(words) < 3 or words[0].endswith(mark)):
             return line.strip().split(mark), mark
     return words, None
 
 
 def _named(words: Sequence[bytes]) -> list[int]:
-    """Which columns are called x, y and z; none where the words are no names of these."""
+    """Which columns are called x, y and z; empty if `words` is no header line with these names."""
     names = [word.strip(b'"/# \t').lower() for word in words]
     names = [name for name in names if name] if words[0].strip() in COMMENTS else names
     return [names.index(axis) for axis in (b"x", b"y", b"z")] if {b"x", b"y", b"z"} <= set(names) else []
 
 
 def _is_numbered(words: Sequence[bytes], count: int) -> bool:
-    """Whether a point of `words`, of which `count` are before it, begins with its number and not with its x."""
+    """Whether the line `words`, which follows `count` points, begins with the point's number instead of its x."""
     return len(words) > 3 and words[0] in (b"%d" % count, b"%d" % (count + 1)) and all(b"." in w for w in words[1:4])
 
 
 def _kept(file: BinaryIO, out: BinaryIO) -> bytes:
-    """The next line that is neither empty nor a comment; those before it go to `out`."""
+    """The next line that is neither empty nor a comment; the lines before it are copied to `out`."""
     while line := file.readline():
         if line.strip() and not line.lstrip().startswith(b"#"):
             break

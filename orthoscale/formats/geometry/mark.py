@@ -11,7 +11,7 @@ MARK = "orthoscale"
 
 
 def mark(scale: float) -> str:
-    """One line for a comment: what was done to the file."""
+    """The mark, as one line for a comment: it says what was done to the file."""
     return f"{MARK}: metres, scaled by {scale:.17g} about the origin"
 
 

@@ -14,8 +14,8 @@ from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 from .words import grown
 
-TEXTURES = ("map_", "bump", "norm", "disp", "decal", "refl")  # how lines of materials begin that name a picture
-GOES_ON = re.compile(rb"\\\r?\n")  # the end of a line that goes on in the next one
+TEXTURES = ("map_", "bump", "norm", "disp", "decal", "refl")  # beginnings of lines that name a picture, in materials
+GOES_ON = re.compile(rb"\\\r?\n")  # the end of a line that is continued in the next one
 
 
 def scale_obj(source: Path, target: Path, scale: float) -> Referred:
@@ -54,8 +54,8 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
 
 
 def _statements(file: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Each statement of a file with the number of its first line: one line, or more where a backslash at the end says
-    that it goes on. A comment does not: it may end with a folder of Windows."""
+    """Each statement of a file with the number of its first line. A backslash at the end of a line continues it, except
+    in comments, which may end with a Windows path."""
     begun: list[bytes] = []
     number = 0
     for number, line in enumerate(file, 1):
@@ -68,18 +68,18 @@ def _statements(file: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
 
 
 def _libraries(source: Path, names: str) -> list[str]:
-    """Names of materials' files: several in a line, or one with spaces in it."""
+    """The names of material files: several on a line, or one that contains spaces."""
     return [names] if beside(source, names) else names.split()
 
 
 def _textures(material: Path) -> list[str]:
-    """Names of the pictures in a file of materials."""
+    """The names of the pictures in a material file."""
     whole = GOES_ON.sub(b" ", read_bytes(material, "It is a list of materials."))
     text = os.fsdecode(whole)  # names need not be UTF-8
     return [_texture(material, line) for line in text.splitlines() if line.strip().lower().startswith(TEXTURES)]
 
 
 def _texture(material: Path, line: str) -> str:
-    """The name at the end of `line`, after options such as ``-s 1 1 1``; it may have spaces in it."""
+    """The name at the end of `line`, after options such as ``-s 1 1 1``; it may contain spaces."""
     ends = [line.split(maxsplit=k)[-1].strip() for k in range(1, len(line.split()))]
     return next((name for name in ends if beside(material, name)), ends[-1] if ends else "")

@@ -1,4 +1,4 @@
-"""PCD, the point clouds of PCL (0.7), in its three forms; what was compressed is written uncompressed."""
+"""PCD, the point clouds of PCL (0.7), in its three encodings; compressed files are written uncompressed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .ply import ROWS
 from .words import grown, header_line
 
 FORMS = ("ascii", "binary", "binary_compressed")
-LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # where a point is, and from where it was seen
-SIZES = ("radius", "range")  # of a surfel, and how far away it was seen; whole numbers are of a sensor, in its own unit
+LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # position of a point, and of the sensor that saw it
+SIZES = ("radius", "range")  # of a surfel, and its distance from the sensor; whole numbers are in a sensor's own unit
 
 
 def scale_pcd(source: Path, target: Path, scale: float) -> None:
@@ -31,13 +31,13 @@ def scale_pcd(source: Path, target: Path, scale: float) -> None:
         lines[-1] = "DATA " + form.removesuffix("_compressed")
         for k, line in enumerate(lines):
             name, *words = line.split() or [""]
-            if name == "VIEWPOINT":  # where the sensor was, then how it was turned
+            if name == "VIEWPOINT":  # the sensor's position, then its orientation
                 lines[k] = " ".join([name, *(f"{float(word) * scale:.10g}" for word in words[:3]), *words[3:]])
         out.write("\n".join([f"# {mark(scale)}", *lines, ""]).encode("utf-8", "surrogateescape"))
         if form == "ascii":
             _ascii(source, file, out, row, lengths, count, scale)
         elif form == "binary":
-            if count * row.itemsize > source.stat().st_size - file.tell():  # before memory is asked for
+            if count * row.itemsize > source.stat().st_size - file.tell():  # checked before memory is allocated
                 raise InputError(f"{source}: ends within its {count} points", EXPORT_ANEW)
             for start in range(0, count, ROWS):
                 points = np.frombuffer(file.read(min(ROWS, count - start) * row.itemsize), row)
@@ -48,7 +48,7 @@ def scale_pcd(source: Path, target: Path, scale: float) -> None:
 
 
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
-    """The header's lines, the fields of a point, and how many points there are. Raises InputError, UsageError."""
+    """The header's lines, the fields of a point, and the number of points. Raises InputError, UsageError."""
     lines: list[str] = []
     told: dict[str, list[str]] = {}
     while "DATA" not in told:
@@ -60,7 +60,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
         if words := line.split():
             told[words[0]] = words[1:]
     try:
-        # Padding has the name _ wherever it is.
+        # All padding fields have the same name, _.
         names = [name if name != "_" else f"_{k}" for k, name in enumerate(told["FIELDS"])]
         counts = [int(word) for word in told.get("COUNT", ["1"] * len(names))]
         kinds = ["<" + kind.lower() + size for kind, size in zip(told["TYPE"], told["SIZE"], strict=True)]
@@ -91,14 +91,14 @@ def _ascii(
 
 
 def _bytes(points: np.ndarray, lengths: list[str], scale: float) -> bytes:
-    """What to write of `points` (N,), whose `lengths` are multiplied by `scale` in place."""
+    """The bytes of `points` (N,), whose `lengths` are multiplied by `scale` in place."""
     for name in lengths:
         points[name] = points[name].astype(float) * scale
     return points.tobytes()
 
 
 def _decompressed(path: Path, file: BinaryIO, row: np.dtype, count: int) -> np.ndarray:
-    """(count,) points from the compressed form, which has each field of all points together."""
+    """(count,) points from the compressed form, which stores the points field by field."""
     packed, size = (int.from_bytes(file.read(4), "little") for _ in range(2))
     if size > HUGE:
         raise InputError(f"{path}: larger than the {HUGE // MIB} MiB that may be compressed", "Save it as binary PCD.")
@@ -116,13 +116,13 @@ def _decompressed(path: Path, file: BinaryIO, row: np.dtype, count: int) -> np.n
 
 
 def _lzf(data: bytes, size: int) -> bytes:
-    """What Lehmann's LZF made `data` of. Raises ValueError, IndexError."""
+    """`data` decompressed by Lehmann's LZF to `size` bytes. Raises ValueError, IndexError."""
     out = bytearray()
     at = 0
     while at < len(data) and len(out) <= size:
         control = data[at]
         at += 1
-        if control < 32:  # that many bytes and one as they are
+        if control < 32:  # control + 1 literal bytes follow
             out += data[at : at + control + 1]
             at += control + 1
             continue
@@ -134,7 +134,7 @@ def _lzf(data: bytes, size: int) -> bytes:
         at += 1
         if start < 0:
             raise ValueError("a copy from before the start")
-        copied = out[start : start + length + 2]  # fewer where it reaches into what it writes: these again and again
+        copied = out[start : start + length + 2]  # fewer if the copy overlaps its own output: then they are repeated
         out += (copied * (length + 2))[: length + 2]
     if len(out) != size:
         raise ValueError("another size than announced")

@@ -25,16 +25,16 @@ PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
-    **{"int64": "i8", "uint64": "u8"},  # not Turk's; of numbers of points, and of times
+    **{"int64": "i8", "uint64": "u8"},  # not in Turk's format; used for point numbers and times
 }
 ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 ROWS = 1 << 17  # vertices in memory at once
-MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
-# `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes beside the splats' axes.
+MOST_POINTS = 500_000  # most points of a model; fewer are enough to find the ground
+# `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes besides the splats' axes.
 OF_VERTICES = ("x", "y", "z", "radius", "filter_3D")
-SPLAT = {"rot_0", "f_dc_0", "opacity"}  # one of these is among the properties of a Gaussian
-VIEWPOINT = ("view_px", "view_py", "view_pz")  # of the element `camera`, MeshLab's and PCL's, which has its axes too
-TEXTURE = "comment TextureFile "  # MeshLab's and OpenMVS's
+SPLAT = {"rot_0", "f_dc_0", "opacity"}  # every Gaussian has at least one of these properties
+VIEWPOINT = ("view_px", "view_py", "view_pz")  # position in MeshLab's and PCL's element `camera`, besides its axes
+TEXTURE = "comment TextureFile "  # written by MeshLab and OpenMVS
 
 
 @dataclass
@@ -63,7 +63,8 @@ class _Element:
         return [name for name in names if re.fullmatch(r"scale_\d", name) and SPLAT & set(names)]
 
     def least(self, form: str) -> int:
-        """Bytes that the element takes at least: a list one for its count, a word of text two with what ends it."""
+        """The smallest number of bytes that the element takes: one for a list (its count), two for a word of text (with
+        its separator)."""
         if form == "ascii":
             return self.count * max(1, 2 * len(self.properties))
         return self.count * sum(np.dtype(kind).itemsize if kind else 1 for _, kind in self.properties)
@@ -108,9 +109,9 @@ def scale_ply(source: Path, target: Path, scale: float) -> Referred:
 
 
 def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) -> None:
-    """Raise InputError where less follows than the header announces."""
+    """Raise InputError if fewer bytes follow than the header announces."""
     missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell())
-    if missing > (form == "ascii"):  # the last line of text may have no end
+    if missing > (form == "ascii"):  # the last line of text may lack its newline
         raise InputError(f"{path}: {missing} bytes or more are missing at its end", EXPORT_ANEW)
 
 
@@ -120,8 +121,8 @@ def read_points(path: Path) -> np.ndarray:
 
 
 def points_in(path: Path, most: int, told: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
-    """Blocks (N, 3) of the vertices of the PLY file `path`, of more than `most` only every so-manieth. Never are more
-    than ROWS of them in memory. told : how many vertices were passed, of how many. Raises InputError."""
+    """Blocks (N, 3) of the vertices of the PLY file `path`, thinned to `most` at most. Never more than ROWS are in
+    memory. told : called with the number of vertices passed, and their total. Raises InputError."""
     with path.open("rb") as file:
         _, form, elements = _header(path, file)
         vertex = elements[0] if elements else None
@@ -129,7 +130,7 @@ def points_in(path: Path, most: int, told: Callable[[int, int], None] | None = N
         if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
             raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
         _require(path, file, form, elements)
-        # More points make the ground no better known: of very many, every so-manieth is taken.
+        # More points would not improve the ground: of very many, only every `step`-th is taken.
         step = -(-vertex.count // most)
         columns = [names.index(axis) for axis in "xyz"]
         row = vertex.row(ORDER[form])

@@ -18,8 +18,8 @@ from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 INTEGER_DEPTH = "integer_depth_scale"
-POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the latter of a rolling shutter
-EXTENTS = ("aabb", "near", "far")  # lengths that say what part of the world is looked at
+POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the last two for a rolling shutter
+EXTENTS = ("aabb", "near", "far")  # lengths that bound the part of the world that is rendered
 CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
 SPLAT_CAMERAS = "cameras.json"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
@@ -54,12 +54,12 @@ def read_splat_cameras(path: Path) -> list[dict[str, Any]]:
 
 
 def splat_centres(path: Path) -> dict[str, np.ndarray]:
-    """(3,) where each camera of a splat's cameras.json stands, by its image's name. Raises InputError."""
+    """(3,) centre of each camera of a splat's cameras.json, by its image's name. Raises InputError."""
     return {each["img_name"]: np.array(each["position"], float) for each in read_splat_cameras(path)}
 
 
 def scale_splat_cameras(source: Path, target: Path, scale: float) -> None:
-    """Write a splat's cameras.json in metres: their positions. Raises InputError; UsageError for one in metres
+    """Write a splat's cameras.json with the positions in metres. Raises InputError; UsageError for one in metres
     already."""
     text = read_splat_cameras(source)
     for each in text:
@@ -71,8 +71,8 @@ def scale_splat_cameras(source: Path, target: Path, scale: float) -> None:
 
 
 def camera_centres(text: dict[str, Any] | list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    """(3,) where each camera stands, by its image's name, of what `read_poses` gave; of several reconstructions that of
-    the first."""
+    """(3,) centre of each camera in the result `text` of `read_poses`, by its image's name; of several reconstructions,
+    those of the first."""
     if isinstance(text, dict):
         return {frame["file_path"]: np.array(frame["transform_matrix"], float)[:3, 3] for frame in text["frames"]}
     return {
@@ -82,12 +82,11 @@ def camera_centres(text: dict[str, Any] | list[dict[str, Any]]) -> dict[str, np.
 
 
 def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred, list[str]]:
-    """Write a transforms.json in metres; returns the point cloud that must be scaled as well, and what there is to say.
+    """Write a transforms.json in metres; returns the point cloud that must be scaled as well, and notes for the user.
 
-    The cameras' positions grow, the box and the depths that are looked at, and the shift of ``applied_transform``,
-    which leads back to the world before nerfstudio turned it; so does instant-ngp's ``integer_depth_scale``, the
-    lengths in a step of its depth maps. ``applied_scale`` stays: its world is now the metric one. Raises InputError,
-    UsageError.
+    Scaled are the cameras' positions, the scene's box and depth range, the shift of ``applied_transform``, which leads
+    back to the world before nerfstudio rotated it, and instant-ngp's ``integer_depth_scale``, the length of one step of
+    its depth maps. ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
     """
     text = cast("dict[str, Any]", read_poses(source))
     if MARK in text:
@@ -116,7 +115,7 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
 
 
 def cloud_name(text: Mapping[str, Any]) -> str:
-    """The point cloud of a transforms.json, from its own folder."""
+    """The path of the point cloud of a transforms.json, relative to the folder of that."""
     return text.get("ply_file_path", CLOUD_FILE)
 
 
@@ -134,9 +133,9 @@ def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
             refuse_marked(source)
         for shot in (*part["shots"].values(), *part.get("pano_shots", {}).values()):
             shot["translation"] = _grown(shot["translation"], scale)
-            if "vertices" in shot:  # of a mesh of what it sees
+            if "vertices" in shot:  # of the mesh that OpenSfM keeps for each shot
                 shot["vertices"] = _each(shot["vertices"], scale)
-            if shot.get("covariance") is not None:  # of its rotation and its translation
+            if shot.get("covariance") is not None:  # (6, 6) of rotation and translation
                 lengths = np.array([1, 1, 1, scale, scale, scale])
                 shot["covariance"] = (np.array(shot["covariance"], float) * np.outer(lengths, lengths)).tolist()
         for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
@@ -148,7 +147,7 @@ def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
 
 
 def _each(value: Any, scale: float) -> Any:
-    """Every number in `value`, which may be one or lists of such, times `scale`."""
+    """`value`, a number or nested lists of numbers, times `scale`."""
     if isinstance(value, list):
         return [_each(each, scale) for each in value]
     return value * scale if isinstance(value, (int, float)) else value

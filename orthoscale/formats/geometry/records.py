@@ -1,6 +1,7 @@
-"""Files of binary records of one size: STL's triangles, and the Gaussians of .splat. They have no room for a mark.
+"""Files of binary records of equal size: STL's triangles, and the Gaussians of .splat. They have no room for a mark.
 
-.splat (antimatter15's): position and axes as float32, not as logarithms, then colours and a rotation in eight bytes.
+.splat (antimatter15's): position and axes as float32 (axes not as logarithms), then colours and a rotation in eight
+bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from .ply import ROWS
 
 STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("length", "<9f4"), ("attribute", "<u2")])
 GAUSSIAN = np.dtype([("length", "<6f4"), ("rest", "8u1")])
-STL_HEAD = 84  # [bytes] 80 of any text, then the number of triangles
+STL_HEAD = 84  # [bytes] 80 of free text, then the number of triangles
 
 
 def scale_stl(source: Path, target: Path, scale: float) -> None:
@@ -27,7 +28,7 @@ def scale_stl(source: Path, target: Path, scale: float) -> None:
     count = int.from_bytes(head[80:84], "little")
     if size >= STL_HEAD and size == STL_HEAD + count * STL_TRIANGLE.itemsize:
         _scale(source, target, scale, STL_HEAD, STL_TRIANGLE)
-    elif head.lstrip()[:5].lower() == b"solid":  # which some binary files begin with as well
+    elif head.lstrip()[:5].lower() == b"solid":  # some binary files begin like this, too
         scale_ascii_stl(source, target, scale)
     else:
         raise InputError(f"{source}: {size} bytes are no STL file of {count} triangles", EXPORT_ANEW)

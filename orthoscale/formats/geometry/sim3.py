@@ -17,7 +17,7 @@ SIM3_HINT = "Give the sim3.json (or sim3.txt) that `orthoscale fix` wrote."
 
 @dataclass(frozen=True)
 class Sim3:
-    """metric_from_model: ``x_metric = scale * x_model``, about the model's own origin, nothing turned or shifted.
+    """metric_from_model: ``x_metric = scale * x_model``, about the model's own origin, without rotation or shift.
 
     scale : metres per model unit, positive and finite; raises UsageError for any other.
     """
@@ -29,8 +29,8 @@ class Sim3:
             raise UsageError(f"cannot scale by {self.scale}", "A scale is a positive number of metres per unit.")
 
     def save(self, folder: Path) -> None:
-        """Write sim3.json, and two files for `colmap model_transformer --transform_path`, which have no room for a word
-        on it: sim3.txt (``scale qw qx qy qz tx ty tz``) for COLMAP 3.9 and newer, sim3_4x4.txt (a matrix) for 3.8 and
+        """Write sim3.json, and two files for `colmap model_transformer --transform_path`, which cannot hold comments:
+        sim3.txt (``scale qw qx qy qz tx ty tz``) for COLMAP 3.9 and newer, sim3_4x4.txt (a matrix) for 3.8 and
         older."""
         text = {
             "target_from_source": "metric_from_model",
@@ -47,7 +47,7 @@ class Sim3:
 
     @classmethod
     def load(cls, path: Path) -> Sim3:
-        """Read either file. Raises InputError for anything else, UsageError for one that turns or shifts."""
+        """Read sim3.json or sim3.txt. Raises InputError for anything else, UsageError if it rotates or shifts."""
         if path.suffix.lower() == ".json":
             from ..schemas.models import Sim3Entry
 

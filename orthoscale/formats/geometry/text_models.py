@@ -1,7 +1,7 @@
 """Reconstructions in plain text: Bundler's bundle.out (v0.3) and VisualSFM's .nvm (NVM_V3).
 
-Both are parsed line by line, so that a false count runs into the end of the file instead of filling the memory. The
-parser marks which words of a line are lengths: reading and scaling share it.
+Both are parsed line by line, so that a wrong count runs into the end of the file instead of filling the memory. The
+parser marks which words of a line are lengths; reading and scaling share it.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from ..reading import read_text
 BUNDLER, NVM = ".out", ".nvm"
 SUFFIXES = (BUNDLER, NVM)
 FIRST_OF_MANY = "it holds several models, each with a scale of its own: only the first is written"
-TRACKS = 20_000  # points, about, whose images are read
-UPRIGHT = np.diag([1.0, -1.0, -1.0])  # Bundler's cameras have y up and look along -z; COLMAP's y down, along z
+TRACKS = 20_000  # number of points, about, whose tracks are read
+UPRIGHT = np.diag([1.0, -1.0, -1.0])  # Bundler's cameras have y up and look along -z, COLMAP's have y down and z
 
 
 @dataclass(frozen=True)
 class TextModel:
-    """What such a file says, C cameras with one image each, in COLMAP's axes.
+    """The content of such a file, C cameras with one image each, in COLMAP's axes.
 
-    names : (C,) of the images, None where the file does not tell. focal : (C,) [px], 0 where not registered.
-    distortion : (C, 3) of FULL_OPENCV's k1, k2, k3. centre : (C, 2) principal points [px], NaN: the image's middle.
+    names : (C,) of the images, None if not in the file. focal : (C,) [px], 0 if not registered.
+    distortion : (C, 3) FULL_OPENCV's k1, k2, k3. centre : (C, 2) principal points [px], NaN: the image's middle.
     rotation, translation : (C, 3, 3), (C, 3) camera_from_world. points, colours : (M, 3).
-    seen : (K, 4) camera, point, and where it saw that: x, y [px], y down, from the principal point or, where
-    `from_corner`, from the image's corner; for some of the points. others : whether other models follow in the file.
+    seen : (K, 4) observations of some of the points: camera, point, x, y [px], y down, from the principal point or, if
+    `from_corner`, from the image's corner. others : whether other models follow in the file.
     """
 
     names: list[str] | None
@@ -50,8 +50,8 @@ class TextModel:
 
 
 class Line(NamedTuple):
-    """kind : what the line is. words : of it. lengths : which of the words are lengths. seen : in which images a point
-    is, and where; only for some of the points."""
+    """kind : what the line describes. words : its words. lengths : which of the words are lengths. seen : the track of
+    a point, its observations in images; only for some of the points."""
 
     text: str
     kind: str
@@ -75,17 +75,17 @@ def read_text_model(path: Path) -> TextModel:
         if not ((model.seen[:, 0] >= 0) & (model.seen[:, 0] < len(model.focal))).all():
             raise ValueError("a point was seen by a camera that does not exist")
         return model
-    except (ValueError, OverflowError) as error:  # the latter of a whole number with hundreds of digits
+    except (ValueError, OverflowError) as error:  # the latter for an integer with hundreds of digits
         raise _damaged(path, str(error)) from error
 
 
 def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
-    """The names of the images of the model `text` at `path`, in the order of its cameras, and the list beside it that
-    holds them, if it does not itself: Bundler's. Raises InputError."""
+    """The names of the images of the model `text` at `path`, in the order of its cameras; and the list file beside it
+    from which they are, for Bundler, whose models have no names. Raises InputError."""
     if text.names is not None:
         return text.names, []
     count = len(text.focal)
-    # COLMAP's window writes x.out and x.out.list.txt, Metashape's users name both as they like.
+    # COLMAP's GUI writes x.out and x.out.list.txt; users of Metashape name both as they like.
     own = [path.with_name(name) for name in (f"{path.name}.list.txt", f"{path.stem}.list.txt", f"{path.stem}_list.txt")]
     places = [*own, path.with_name("list.txt"), path.parent.parent / "list.txt"]
     if path.name.endswith("bundle.out") and path.name != "bundle.out":  # COLMAP writes x.bundle.out, x.list.txt
@@ -96,7 +96,7 @@ def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
             f"{path} has no list of its images ({path.with_name('list.txt')})", "Put Bundler's list.txt beside it."
         )
     lines = read_text(found, "It is Bundler's list of images.").splitlines()
-    # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
+    # Bundler writes "NAME 0 FOCAL", COLMAP only the name, which may contain spaces.
     names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in lines if line.strip()]
     if len(names) != count:
         raise InputError(
@@ -106,8 +106,8 @@ def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
 
 
 def scale_text_model(source: Path, target: Path, scale: float) -> list[str]:
-    """Write the first model of `source` with all lengths times `scale`; all else stays as it was. Returns what there is
-    to say. Raises InputError."""
+    """Write the first model of `source` with all lengths times `scale`, and all else unchanged. Returns notes for the
+    user. Raises InputError."""
     notes = []
     with target.open("w", encoding="utf-8") as out:
         for line in _lines(source):
@@ -145,7 +145,7 @@ def _lines(path: Path) -> Iterator[Line]:
                 yield line
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
-    except ValueError as error:  # of numbers, of counts, and of bytes that are no text
+    except ValueError as error:  # malformed numbers or counts, or bytes that are not UTF-8
         raise _damaged(path, f"line {number}: {error}") from error
 
 
@@ -199,7 +199,7 @@ def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
         yield Line(text, "", [])
         for k in range(count):
             text = following()
-            words = text.rstrip().split(maxsplit=least)  # in which images, in pixels, stays in one piece
+            words = text.rstrip().split(maxsplit=least)  # a point's track stays in one piece
             if len(words) < least:
                 raise ValueError(f"{len(words)} words where {least} belong")
             yield Line(text, kind, words, lengths, _every(k, count, words[6]) if kind == "point" and words[6:] else "")
@@ -212,8 +212,8 @@ def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
 
 
 def _without_points(text: str, following: Callable[[], str]) -> list[str]:
-    """The lines of a model that begins with `text` and has no points: VisualSFM's last, whose images are in no model.
-    Empty for any other."""
+    """The lines of a model that begins with `text` and has no points: VisualSFM's last one, of unregistered images.
+    Empty for any other model."""
     try:
         (count,) = _counts(text, 1)
         lines = [text, *(following() for _ in range(count)), points := _next_of(following)]
@@ -230,12 +230,13 @@ def _next_of(following: Callable[[], str]) -> str:
 
 
 def _every(number: int, count: int, text: str) -> str:
-    """`text` of the point `number`, empty for all but some of `count` points."""
+    """`text` of the point `number`, kept only for about TRACKS of the `count` points; '' for the others."""
     return text if number % max(1, count // TRACKS) == 0 else ""
 
 
 def _seen(text: str, point: int) -> list[list[float]]:
-    """Camera, `point`, x and y of a track's text: how many, then camera, key, x and y of each."""
+    """Camera, `point`, x and y of each observation in a track: its text is their number, then camera, key, x and y of
+    each."""
     count, *words = text.split()
     if len(words) != 4 * int(count):
         raise ValueError(f"a track of {count} images has {len(words)} numbers")
@@ -250,7 +251,7 @@ def _counts(text: str, number: int) -> list[int]:
 
 
 def _bundler(parts: dict[str, list[list[Any]]]) -> TextModel:
-    """Snavely's manual: P = R X + t, p = -P / P.z, pixels from the middle f (1 + k1 |p|^2 + k2 |p|^4) p, y up."""
+    """As in Snavely's manual: P = R X + t, p = -P / P.z, pixels from the middle f (1 + k1 |p|^2 + k2 |p|^4) p, y up."""
     lens = np.array(parts["lens"], float)
     count = len(lens)
     return TextModel(
@@ -268,8 +269,8 @@ def _bundler(parts: dict[str, list[list[Any]]]) -> TextModel:
 
 
 def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
-    """VisualSFM's manual: name, focal length, quaternion wxyz, camera centre, radial distortion r; spaces in names are
-    double quotes. It takes measurements m to the pinhole's by (1 + r |m|^2) m; here is its inverse, as a series."""
+    """As in VisualSFM's manual: name, focal length, quaternion wxyz, camera centre, radial distortion r; double quotes
+    stand for spaces in names. There, (1 + r |m|^2) m undistorts a measurement m; here is the inverse, as a series."""
     values = np.array([words[1:10] for words in parts["camera"]], float)
     quaternion, centre, r = values[:, 1:5], values[:, 5:8], values[:, 8]
     if not (np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 0.01).all():
@@ -291,7 +292,7 @@ def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
         points=points[:, :3],
         colours=points[:, 3:],
         seen=seen,
-        # VisualSFM's manual counts from the image's middle, COLMAP writes what it counts from the corner.
+        # By VisualSFM's manual pixels are relative to the image's middle; COLMAP writes them relative to its corner.
         from_corner=bool((seen[:, 2:] >= 0).mean() > 0.95) if len(seen) else False,
         others="others" in parts,
     )

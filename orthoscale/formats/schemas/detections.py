@@ -30,7 +30,7 @@ BoxesByPicture = dict[str, list[BoxEntry]]
 
 
 class NoteEntry(Struct, kw_only=True):
-    """What is needed to measure with boxes, and what beside the vehicles was found (`core.detections.Detections`)."""
+    """What is needed to measure with boxes, and what was found besides the vehicles (`core.detections.Detections`)."""
 
     zoom: Annotated[float, Meta(gt=1e-4, le=1e3)]
     effective_height: tuple[Height, Height]
@@ -55,7 +55,7 @@ class DetectionsEntry(NoteEntry, kw_only=True):
 
 
 class CocoImage(Struct):
-    """An entry of ``images``; its size [px] may be missing, written as 0."""
+    """An entry of ``images``; a missing size [px] is 0."""
 
     id: int | str
     file_name: Text
@@ -64,7 +64,7 @@ class CocoImage(Struct):
 
 
 class CocoCategory(Struct):
-    """An entry of ``categories``: what annotations are of."""
+    """An entry of ``categories``: a class of annotations."""
 
     id: int | str
     name: Text

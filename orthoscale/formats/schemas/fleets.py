@@ -1,4 +1,4 @@
-"""Fleets of vehicles, and what a calibration says."""
+"""Fleets of vehicles, and calibrations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Country = Annotated[str, Meta(pattern="^[A-Z]{2}$")]  # ISO 3166
 Correlation = Annotated[float, Meta(gt=-1, lt=1)]
 
 
-WIDEST = 0.5  # sigma of a size as a share of it: a size may not be nought
+WIDEST = 0.5  # largest sigma of a size, as a share of it: sizes must be positive
 
 
 def _check_sizes(entry: FleetEntry | MixturePart) -> None:
@@ -28,7 +28,7 @@ def _check_sizes(entry: FleetEntry | MixturePart) -> None:
 
 
 class MixturePart(Struct, rename={"class_": "class"}):
-    """One class of a mixture: mean and one sigma of its sizes [m], and its share of the fleet as a weight."""
+    """One class of a mixture: mean and one sigma of its sizes [m], and its weight, a share of the fleet."""
 
     class_: Name
     length: Sizes

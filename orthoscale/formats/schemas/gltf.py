@@ -1,4 +1,4 @@
-"""What of glTF files carries lengths."""
+"""The parts of glTF files that contain lengths."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from .values import Count, Finite
 
 
 class GltfAsset(Struct):
-    """Metadata, in whose ``extras``, which may be anything, a scene in metres is marked."""
+    """Metadata; its ``extras``, which may be anything, hold the mark of a scene in metres."""
 
     extras: Any = None
 
 
 class GltfNode(Struct):
-    """Indices of the nodes below it."""
+    """A node, by the indices of its children."""
 
     children: list[Count] = []
 
 
 class GltfScene(Struct):
-    """Indices of the nodes at the top."""
+    """A scene, by the indices of its root nodes."""
 
     nodes: list[Count] = []
 
@@ -34,13 +34,13 @@ class GltfPart(Struct):
 
 
 class GltfCentre(Struct):
-    """What is added to all positions, after the nodes' transforms: of 3D Tiles."""
+    """The centre in 3D Tiles, which is added to all positions after the nodes' transforms."""
 
     center: tuple[Finite, Finite, Finite]
 
 
 class GltfView(Struct):
-    """How far a camera sees, and how much of the scene where it has no perspective."""
+    """A camera's clipping distances, and the width and height it shows if it is orthographic."""
 
     xmag: float | None = None
     ymag: float | None = None
@@ -49,51 +49,51 @@ class GltfView(Struct):
 
 
 class GltfCamera(Struct):
-    """A camera of one of the two kinds."""
+    """A camera, either orthographic or perspective."""
 
     orthographic: GltfView | None = None
     perspective: GltfView | None = None
 
 
 class GltfLight(Struct):
-    """How far it shines."""
+    """A light and its range."""
 
     range: float | None = None
 
 
 class GltfLights(Struct):
-    """Those of KHR_lights_punctual."""
+    """The lights of KHR_lights_punctual."""
 
     lights: list[GltfLight] = []
 
 
 class GltfVolume(Struct):
-    """How far light goes in a material."""
+    """The distance over which a material attenuates light."""
 
     attenuationDistance: float | None = None
 
 
 class GltfMaterialExtensions(Struct):
-    """Those of a material that have a length."""
+    """The extensions of a material that contain lengths."""
 
     KHR_materials_volume: GltfVolume | None = None
 
 
 class GltfMaterial(Struct):
-    """A material, as far as it has lengths."""
+    """The part of a material that contains lengths."""
 
     extensions: GltfMaterialExtensions | None = None
 
 
 class GltfExtensions(Struct):
-    """Those of a whole scene that have a length."""
+    """The extensions of a whole file that contain lengths."""
 
     CESIUM_RTC: GltfCentre | None = None
     KHR_lights_punctual: GltfLights | None = None
 
 
 class Gltf(Struct):
-    """The JSON of a glTF 2.0 scene, as far as scaling it needs."""
+    """The parts of a glTF 2.0 file's JSON that are needed to scale it."""
 
     asset: GltfAsset
     nodes: list[GltfNode] = []

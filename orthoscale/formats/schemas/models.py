@@ -53,7 +53,7 @@ class Sim3Entry(Struct):
 
 
 class Intrinsics(Distortion, kw_only=True):
-    """nerfstudio's, for all frames or for one; which are needed depends on where else they stand."""
+    """nerfstudio's intrinsics, for all frames or for one: each may be given in either place."""
 
     w: Annotated[float, Meta(ge=1, lt=2**20)] | UnsetType = UNSET
     h: Annotated[float, Meta(ge=1, lt=2**20)] | UnsetType = UNSET
@@ -100,13 +100,13 @@ class OpensfmCamera(Distortion, kw_only=True):
 
 
 class OpensfmPlaced(Struct):
-    """Something with a place; world to camera, as OpenSfM writes it."""
+    """Anything with a position: the translation from world to camera, as in OpenSfM."""
 
     translation: Vector
 
 
 class OpensfmShot(OpensfmPlaced):
-    """A picture: rotation from the world to the camera as an axis times its angle [rad]."""
+    """A picture: rotation from world to camera, as axis times angle [rad]."""
 
     rotation: Vector
     camera: Text
@@ -133,14 +133,14 @@ class OpensfmPart(Struct):
 
 
 class SplatCamera(Struct):
-    """A view in the ``cameras.json`` beside a Gaussian splat: where it was [units of the model, world]."""
+    """A view in the ``cameras.json`` beside a Gaussian splat: its position [units of the model, world]."""
 
     img_name: Text
     position: Vector
 
 
 class ReferenceLla(Struct):
-    """OpenSfM's place of a reconstruction [degrees, WGS 84]."""
+    """The place of a reconstruction in OpenSfM [degrees, WGS 84]."""
 
     longitude: Annotated[float, Meta(ge=-180, le=180)]
     latitude: Annotated[float, Meta(ge=-90, le=90)]

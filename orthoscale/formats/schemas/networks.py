@@ -1,4 +1,4 @@
-"""What comes with a network: its card, with the ruler, or MMDeploy's ``pipeline.json``."""
+"""The metadata of networks: cards, with their rulers, and MMDeploy's ``pipeline.json``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ...core.projection.exact import BODIES
 from ...core.ruler import Ruler
 from .values import Finite, Metres, Name, Positive, PxOfDetector, PxSd, Share, Text, Threshold
 
-Shrink = Annotated[float, Meta(ge=-1, lt=1)]  # 1 draws all vehicles alike: nothing could be measured
-Height = Annotated[float, Meta(ge=0, le=20)]  # [m] up to which boxes enclose a vehicle
-InputPx = Annotated[float, Meta(gt=0, le=10_000)]  # a vehicle in a network's input
+Shrink = Annotated[float, Meta(ge=-1, lt=1)]  # at 1 all boxes have one size: nothing could be measured
+Height = Annotated[float, Meta(ge=0, le=20)]  # [m] effective height, or undercut
+InputPx = Annotated[float, Meta(gt=0, le=10_000)]  # length of a vehicle in a network's input
 
 
 class RulerEntry(Struct, forbid_unknown_fields=True):
@@ -37,12 +37,12 @@ class RulerEntry(Struct, forbid_unknown_fields=True):
 
     @property
     def ruler(self) -> Ruler:
-        """The same as a value of the core."""
+        """The ruler as a class of the core."""
         return Ruler(**{name: getattr(self, name) for name in self.__struct_fields__})
 
 
 def check_body(name: str) -> None:
-    """Raise ValueError for what is no `core.projection.exact.BODIES`."""
+    """Raise ValueError if `name` is none of `core.projection.exact.BODIES`."""
     if name not in BODIES:
         raise ValueError(f"body: expected one of {', '.join(BODIES)}")
 
@@ -108,13 +108,13 @@ class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
 
 
 class Task(Struct):
-    """One step of MMDeploy's pipeline; among its transforms is the normalisation."""
+    """One task of MMDeploy's pipeline; the normalisation is among its transforms."""
 
     transforms: list[dict[str, Any]] = []
 
 
 class Tasks(Struct):
-    """The steps, in their order."""
+    """The tasks of a pipeline, in order."""
 
     tasks: list[Task]
 

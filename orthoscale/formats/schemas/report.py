@@ -10,7 +10,7 @@ from .values import Count, Finite, Metres, Name, Positive, Px, PxLength, Share, 
 
 
 class ReportScale(Struct):
-    """What of a report (`report.document`) says how long a unit is."""
+    """A scale of a report (`report.document`), with its interval."""
 
     scale: Positive
     interval90: tuple[Positive, Positive]
@@ -32,7 +32,7 @@ class ReportJudgement(Struct):
 
 
 class Explained(Struct):
-    """What of a report `report.explanation` needs."""
+    """The parts of a report that `report.explanation` needs."""
 
     scale: Positive
     unit: Name
@@ -44,8 +44,8 @@ class Explained(Struct):
 
 
 class ReportInput(Struct):
-    """What was measured, of which kind it is ('' in reports of older versions, whose unit tells), its content's hash,
-    and the folder that relative names here and in `settings` start from."""
+    """The input: its path, its kind ('' in reports of older versions, where the unit shows it), the hash of its
+    content, and the folder from which relative paths, here and in `settings`, start."""
 
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
@@ -62,7 +62,7 @@ class ReportBox(Struct):
 
 
 class ReportVehicle(Struct):
-    """A vehicle's size and place [m], whether it counted, and why not."""
+    """A vehicle's size and place [m], and whether it was used or why not."""
 
     length: Finite
     width: Finite
@@ -73,7 +73,7 @@ class ReportVehicle(Struct):
 
 
 class ReportSize(Struct):
-    """A fleet's mean, spread between vehicles and what the mean may be off by, one sigma each [m]."""
+    """A fleet's mean size, the spread between vehicles, and the uncertainty of the mean, one sigma each [m]."""
 
     mean: Metres
     sd: Sigma
@@ -81,7 +81,7 @@ class ReportSize(Struct):
 
 
 class ReportClass(Struct):
-    """One class of the fleet that was measured with: weight, mean and one sigma of length and width [m]."""
+    """One class of the fleet: weight, mean and one sigma of length and width [m]."""
 
     name: Text
     weight: Weight
@@ -98,7 +98,7 @@ class ReportFleet(Struct):
 
 
 class ReportEvidence(Struct):
-    """What else but vehicles told a scale, with its relative one sigma."""
+    """A scale from other evidence than the vehicles, with its relative one sigma."""
 
     kind: Text
     scale: Positive
@@ -107,7 +107,7 @@ class ReportEvidence(Struct):
 
 
 class ReportAnchor(Struct):
-    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+    """An object of standard size that was found: its fitted lines in a picture [px], and the scale that it gives."""
 
     kind: Text
     standard: Text
@@ -123,7 +123,7 @@ class ReportAnchor(Struct):
 
 
 class Report(Explained, kw_only=True):
-    """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
+    """A report from which a page is drawn; parts of only one kind of source, such as ``drift``, are not checked."""
 
     format: Literal["orthoscale report 2"]
     interval90: tuple[Positive, Positive]

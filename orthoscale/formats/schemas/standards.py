@@ -1,4 +1,4 @@
-"""Things of standard size: objects, anchors, parking stalls, facilities and what is painted on them."""
+"""Objects of standard size: objects, anchors, parking stalls, and facilities with their painted lines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .values import Metres, Name, Sigma, Text
 
 
 class ObjectStandard(Struct):
-    """The standard size of one kind of object [m], and who says so."""
+    """The standard size of one kind of object [m], and its source."""
 
     name: Text
     length: Sizes
@@ -20,7 +20,7 @@ class ObjectStandard(Struct):
 
 
 class AnchorStandard(Struct, forbid_unknown_fields=True):
-    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+    """The standard size of one kind of anchor, and its one sigma [m]."""
 
     kind: Name
     metres: Annotated[float, Meta(gt=0, lt=1e4)]
@@ -46,8 +46,8 @@ class ObjectTable(Struct):
 
 
 class Stall(Struct):
-    """The size of a country's parking stalls and what their width strays by, one sigma [m]. countries : whose they
-    are, of a row whose key is no country."""
+    """The size of a country's parking stalls, and one sigma of their width [m]. countries : where they are used, if the
+    row's key is no country."""
 
     width: Metres
     width_sd: Sigma
