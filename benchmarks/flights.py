@@ -29,7 +29,7 @@ from orthoscale.core.measuring.ways import measure_source
 from orthoscale.errors import OrthoscaleError
 from orthoscale.fleets import load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.blocks import EXACT, KINDS, RULER, Conditions, exactly, fly  # noqa: E402
 from support.simulate import table  # noqa: E402

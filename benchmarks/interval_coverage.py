@@ -26,7 +26,7 @@ from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import fleet_codes, load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import Vans, car_park, table  # noqa: E402
 

@@ -21,7 +21,7 @@ from orthoscale.core.projection.exact import Hull
 from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, SeenBoxes
 from orthoscale.core.projection.view import Views
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import (  # noqa: E402
     DENSEUAV,

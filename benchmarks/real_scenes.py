@@ -17,7 +17,7 @@ import numpy as np
 import orthoscale
 from orthoscale.requests import ESTIMATORS, PROJECTIONS
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import table  # noqa: E402
 

@@ -14,7 +14,7 @@ import numpy as np
 from orthoscale.core.projection.own_ruler import HEIGHT, MARGIN, UNDERCUT
 from orthoscale.fleets import load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.ruler_flights import find, fly  # noqa: E402
 from support.simulate import table  # noqa: E402

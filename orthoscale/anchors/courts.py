@@ -51,9 +51,9 @@ STRETCH_REMAINS = 0.5
 
 
 def evidence(fit: CourtFit) -> float:
-    """Evidence for a court, 1 if all of it is seen and nothing else: half is the share of painted length that is seen,
-    half the smallest such share of a group of strokes (those of one direction, or the arcs). It loses by ridges where
-    nothing should be painted, and by ridges that scatter about the strokes."""
+    """Evidence for a court, 1 if all of it is seen and nothing else: the mean of the share of painted length that is
+    seen and of the smallest such share among groups of strokes (those of one direction, or the arcs), less what ridges
+    show where nothing should be painted, and less if ridges scatter about the strokes."""
     weight = np.array([stroke.weight for stroke in fit.court.strokes])
     fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
     return (

@@ -58,9 +58,10 @@ def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | N
     """The best row in `place` (N,) [px] with a period from `low` to `high` [px]; None if it has fewer than `fewest`
     things.
 
-    The first guess of the period is where the spectrum, the sum of exp(2 pi i place / period), is strongest; least
-    squares over the numbered places follow. A row ends where more than two things in succession are missing. A stripe
-    half under a vehicle is seen beside its place: such strays are left out where that makes the row more regular.
+    The three strongest values of the spectrum, the sum of exp(2 pi i place / period), give first guesses of the period;
+    least squares over the numbered places follow. A row ends where more than two things in succession are missing. A
+    stripe half under a vehicle is seen beside its place: such strays are left out where that makes the row more
+    regular.
     """
     if len(place) < fewest:
         return None

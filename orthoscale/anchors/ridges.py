@@ -16,7 +16,7 @@ import numpy as np
 BLUR_PX = 0.9  # [px] one sigma of smoothing for the derivatives: keeps a line one pixel wide, removes most noise
 DIRECTIONS = 8  # steered maps over half a turn: a line is at most 11 degrees off one and keeps 0.94 of its strength
 CLEAR_RIDGE = 120  # a ridge of full strength in the maps, which are int8
-SEED_PX = 32  # [px] rows of a strip: the length of a seed
+SEED_PX = 32  # [px] rows of a strip: the length of a seed along rows or columns
 SURROUNDINGS = 24  # [px] one sigma of the window for the local mean
 FLOOR = 0.35  # [grey levels] least local mean: below it are compression and rounding
 STRONGEST = 1.6  # [local means] from which on a ridge has full strength
