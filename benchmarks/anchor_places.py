@@ -1,4 +1,4 @@
-"""What vehicles and all anchors of a picture say together of its scale."""
+"""The scale of a picture from its vehicles and all its anchors together."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from orthoscale.core.measuring.anchors import votes_in_plan
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Posterior
 
-SAME_LOG = 0.01  # [ln] two scales that an anchor may mean are hardly two so near each other
+SAME_LOG = 0.01  # [ln] two possible scales of an anchor that are this near each other count as one
 
 
 class Place(NamedTuple):
-    """Relative error of a scale, and of the lower and the upper end of its 90 % interval; whether the anchors were
-    taken for what they come nearest to the truth as."""
+    """Relative error of a scale, and of the lower and the upper end of its 90 % interval; and whether the anchors were
+    taken for the standard that is nearest to the truth."""
 
     error: float
     low: float
@@ -27,8 +27,8 @@ class Place(NamedTuple):
 
 
 def place_of(anchors: Sequence[Anchor], gsd: float, told: float, told_sd: float, country: str) -> Place:
-    """That of what `anchors` of one kind say, and vehicles that say `told` [m/px] with a relative one-sigma of
-    `told_sd`, where `gsd` [m/px] is true."""
+    """The errors of the scale from `anchors` of one kind together with vehicles, whose scale is `told` [m/px] with a
+    relative one sigma of `told_sd`; `gsd` [m/px] is the truth."""
     vehicles = Posterior.normal(float(np.log(told)), told_sd)
     (evidence,) = evidence_of(votes_in_plan(anchors, 4 * told_sd), country)
     fused = combined(vehicles, {}, [evidence])
@@ -39,7 +39,7 @@ def place_of(anchors: Sequence[Anchor], gsd: float, told: float, told_sd: float,
 
 
 def held(places: np.ndarray) -> float:
-    """Share of `places` (N, 4) whose 90 % interval has the truth."""
+    """Share of `places` (N, 4) whose 90 % interval holds the truth."""
     return float(np.mean((places[:, 1] <= 0) & (places[:, 2] >= 0)))
 
 

@@ -1,10 +1,10 @@
 """Painted courts against known scales: ``python benchmarks/anchors_courts.py [KIND] [HALF]``.
 
-Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The chips are split by the MD5 of their names: `building` are those
-that thresholds and certainties were chosen with, `other` those that nothing was chosen with (default). Finer pictures
-are drawn, coarser ones shrunk from the chips. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %).
-A place is a picture, with what those vehicles and all its courts say together, as the product fuses them. CPU seconds
-are those of one thread, without what others take.
+Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The chips are split by the MD5 of their names: thresholds and
+uncertainties were chosen on `building`, nothing on `other` (default). Finer pictures are drawn, coarser ones shrunk
+from the chips. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %).
+A place is a picture with the scale that those vehicles and all its courts give together, combined as in the program.
+CPU seconds are those of this process, whatever else the machine does.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SD = 0.08
 
 @dataclass
 class Tally:
-    """What was found in pictures of one kind: error of each anchor; places; pixels; seconds."""
+    """What was found in pictures of one kind: error of each anchor, places, megapixels and CPU seconds."""
 
     pictures: int = 0
     megapixels: float = 0.0
@@ -91,7 +91,7 @@ HEAD = (
 
 
 def half_of(path: Path) -> str:
-    """Which half a chip belongs to."""
+    """The half to which a chip belongs."""
     return ("building", "other")[int(hashlib.md5(path.name.encode()).hexdigest(), 16) % 2]
 
 
@@ -103,7 +103,7 @@ def chips(half: str, kind: str | None) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def off(rng: np.random.Generator) -> float:
-    """What the vehicles' scale is wrong by, a factor."""
+    """The factor by which the vehicles' scale is wrong."""
     return float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
 
 
@@ -115,7 +115,7 @@ def scenes() -> Iterator[tuple[str, np.ndarray, float]]:
                 yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"]
 
 
-# Each finder, and what draws its courts: from the edges that the rules give.
+# Each finder, and the functions that draw its courts by the edges that the rules give.
 KINDS: dict[str, tuple[courts.CourtFinder, tuple[Callable[[], list], ...]]] = {
     "tennis": (courts.TENNIS, (tennis, lambda: tennis(0.04, 0.05), lambda: tennis(0.05, 0.10))),
     "volleyball": (courts.VOLLEYBALL, (volleyball,)),

@@ -1,10 +1,10 @@
-"""Padel courts and containers, of which no real picture is here, as drawn: ``python benchmarks/anchors_drawn.py KIND``.
+"""Drawn padel courts and containers, as there are no real pictures here: ``python benchmarks/anchors_drawn.py KIND``.
 
-Pictures of exact truth in many looks, one place each: padel courts alone or three side by side, yards of containers in
-one to three rows of two heights. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %); of an anchor's
-standards the one nearest to the truth counts, `sure` is the share of anchors that can be nothing else. A find off by
-more than 6 % is false. CPU seconds are those of one thread. How often other things are taken for them, real ones and
-drawn, `anchors_false.py` counts.
+Pictures with exact truth and many appearances, one place each: padel courts alone or three side by side, yards of
+containers in one to three rows of two heights. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %). Of
+an anchor's standards the one nearest to the truth counts; `sure` is the share of anchors with a single standard. A find
+off by more than 6 % is false. CPU seconds are those of this process. `anchors_false.py` counts how often other things,
+real and drawn, are taken for them.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ GSDS = 0.05, 0.1, 0.2, 0.3  # [m/px]
 
 
 def padel(number: int, gsd: float, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-    """RGB picture, and how many courts it shows."""
+    """RGB picture, and the number of courts in it."""
     courts, image = padel_club(number, gsd, rng)
     return image, len(courts)
 
 
 def containers(number: int, gsd: float, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-    """RGB picture, and how many containers it shows."""
+    """RGB picture, and the number of containers in it."""
     return container_yard(number, gsd, rng)[:2]
 
 

@@ -1,11 +1,11 @@
 """How often finders take something else for an anchor: ``python benchmarks/anchors_false.py KIND [--draw FOLDER]``.
 
-Looks for a kind in every real picture of ``../shared/data`` (or ``ORTHOSCALE_DATA``) and in drawn ones of what is not
-it, at their scale and as if that were wrong by a factor, as they are, or mirrored, turned and shrunk; prints what it
-finds. Which of that is false is for eyes to say, on the pictures that ``--draw`` writes. The scale of training pictures
-is that of their vehicles. Mpx are those that the finder sees; "fused" are the finds that would move a scale, of an
-anchor that is probably one. The same ground turned, shrunk or told another scale is another question to the finder, but
-no other ground: `hectares` are those of the ground that there is.
+Searches for a kind in every real picture of ``../shared/data`` (or ``ORTHOSCALE_DATA``) and in drawn pictures of other
+things: at their scale and with that wrong by a factor, as they are or mirrored, turned and shrunk. It prints what it
+finds. Which finds are false has to be judged by eye, on the pictures that ``--draw`` writes. The scale of training
+pictures is by their vehicles. Mpx are those that the finder sees; "fused" are the finds that would change a scale, as
+they are probably anchors. The same ground turned, shrunk or with another scale is a new trial of the finder, but not
+new ground: `hectares` are the area of the pictures.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ VEHICLE = 4.4  # [m] median length of vehicles, for the scale of training pictur
 GROUND_ALONE = 0.05  # [m/px] of training pictures without vehicles
 COUNTRIES = {"munich": "DE", "minsk": "BY", "bogota": "CO", "warsaw": "PL"}
 SD = 0.1
-SHOWING = {"tennis court": ("tennis",)}  # by kind, how pictures are called that show some
+SHOWING = {"tennis court": ("tennis",)}  # by kind, how names of pictures begin that show some
 FLIGHTS = "brighton", "weedon", "boruszyn"  # and `sheffield`, which has two tennis courts
 DRAWN_GSD, TOWN_GSD = (0.12, 0.2, 0.3, 0.45), 0.12  # [m/px]
 DRAWN_EACH, TOWNS = 4, 16
@@ -63,13 +63,13 @@ def read(path: Path) -> np.ndarray:
 
 
 def chips() -> Iterator[Sample]:
-    """American pictures of a foot per pixel."""
+    """American chips of one foot per pixel."""
     for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
         yield path.stem, read(path), CHIP_GSD, "US"
 
 
 def scenes() -> Iterator[Sample]:
-    """Orthophotos and straight-down frames; no montages, which are made of chips."""
+    """Orthophotos and nadir frames, without montages, which are made of chips."""
     for folder in ("places", "orthophotos"):
         for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
             if "gsd_m" in known and not name.startswith("us_"):
@@ -77,7 +77,7 @@ def scenes() -> Iterator[Sample]:
 
 
 def training() -> Iterator[Sample]:
-    """The pictures that the detector was trained on; of Munich every eighth, they show the same street."""
+    """The training pictures of the detector; only every eighth of Munich, as they show the same street."""
     images = json.loads((DATA / "vehicles" / "labels.json").read_text())["images"]
     own: dict[str, float] = {}
     by_set: dict[str, list[float]] = {}
@@ -94,7 +94,7 @@ def training() -> Iterator[Sample]:
 
 
 def flights() -> Iterator[Sample]:
-    """Frames of reconstructions as they are searched: warped onto the ground."""
+    """Ground pictures of reconstructions, in which the program searches."""
     for name in FLIGHTS:
         folder = DATA / "reconstructions" / name
         known = json.loads((folder / "truth.json").read_text())
@@ -107,7 +107,7 @@ def flights() -> Iterator[Sample]:
 
 
 def drawn() -> Iterator[Sample]:
-    """What is painted much like a court: other courts, fields, running tracks, car parks, roofs of sheets."""
+    """Pictures of things painted like a court: other courts, fields, running tracks, car parks, roofs of sheets."""
     rng = np.random.default_rng(6)
     for gsd, number in product(DRAWN_GSD, range(DRAWN_EACH)):
         turn = rng.uniform(0, np.pi)
@@ -130,7 +130,7 @@ def drawn() -> Iterator[Sample]:
 
 
 def towns() -> Iterator[Sample]:
-    """Roofs, roads and trees at random."""
+    """Drawn towns of random roofs, roads and trees."""
     for seed in range(TOWNS):
         yield f"town-{seed}", town(seed, 2000), TOWN_GSD, "US"
 
@@ -141,7 +141,8 @@ SORTS = {
 
 
 def turned(image: np.ndarray, degrees: float) -> np.ndarray:
-    """The largest upright part of the same shape of RGB `image`, mirrored and turned about its middle."""
+    """RGB `image` mirrored and turned about its middle, cropped to the largest upright part of the same aspect
+    ratio."""
     if not degrees:
         return image
     height, width = image.shape[:2]
@@ -201,7 +202,7 @@ def main() -> None:
 
 
 def draw(image: np.ndarray, lines: np.ndarray, path: Path) -> None:
-    """What is about `lines` [px] in RGB `image`, without and with them."""
+    """Write the part of RGB `image` around `lines` [px], without and with these drawn."""
     canvas = image[..., ::-1].copy()
     for line in np.round((lines + 0.5) * 8).astype(int).tolist():
         cv2.line(canvas, line[0], line[1], (0, 255, 255), 1, cv2.LINE_AA, 3)

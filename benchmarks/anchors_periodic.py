@@ -3,11 +3,11 @@
 ``python benchmarks/anchors_periodic.py [--kind KIND]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
-of an anchor's standards the one nearest to the truth counts. A place is a picture, with what those vehicles and all its
-anchors say together, as the product fuses them. A second row tells the picture's share of the errors from the
-standard's: one sigma of the fit alone, by the scatter about it; and places whose anchors were taken for the standard
-nearest to the truth apart from those of another one. Which finds are false was counted by eye, on pictures that
-``--draw FOLDER`` writes. CPU seconds are those of one thread, shrinking to the finder's resolution included.
+of an anchor's standards the one nearest to the truth counts. A place is a picture with the scale that those vehicles
+and all its anchors give together, combined as in the program. A second row separates the errors of the picture from
+those of the standard: one sigma of the fit alone, by the scatter about it; and places whose anchors were taken for the
+standard nearest to the truth, apart from the others. False finds were counted by eye, on the pictures that ``--draw
+FOLDER`` writes. CPU seconds are those of this process, including shrinking to the finder's resolution.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ HEAD = (
 
 @dataclass
 class Tally:
-    """What one finder found in pictures of one sort: of each anchor (error, stated sd, that of the fit alone); places;
-    pixels; seconds."""
+    """What one finder found in pictures of one sort: for each anchor its error, claimed sd and sd of the fit alone;
+    places, megapixels and CPU seconds."""
 
     finder: AnchorFinder
     draw: Path | None = None
@@ -99,7 +99,7 @@ class Tally:
 
     @staticmethod
     def apart(fit: np.ndarray, places: np.ndarray) -> str:
-        """The fit's one sigma (N,), and places (M, 4) of the right standard and of a wrong one."""
+        """A line on the one sigma of fits (N,), and on places (M, 4) by whether the standard was right or wrong."""
         said = [f"  one sigma of the fit: median {100 * np.median(fit):.2f}, 90 % {100 * np.quantile(fit, 0.9):.2f} %"]
         for name, chosen in (("right", places[:, 3] > 0), ("wrong", places[:, 3] == 0)):
             these = places[chosen]
@@ -113,7 +113,7 @@ class Tally:
 
 
 def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:
-    """`image` with the lines of `anchors`."""
+    """Write `image` with the lines of `anchors`."""
     canvas = image[..., ::-1].copy()
     for anchor in anchors:
         for line in np.round((anchor.lines + 0.5) * 8).astype(int).tolist():
@@ -122,8 +122,8 @@ def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:
 
 
 def scenes() -> Iterator[tuple[str, np.ndarray, float, str]]:
-    """Orthophotos and straight-down frames, RGB; their ground sampling distances and countries. Montages are left out:
-    they are made of chips."""
+    """Orthophotos and nadir frames, RGB, with their ground sampling distances and countries; without montages, which
+    are made of chips."""
     for folder in ("places", "orthophotos"):
         for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
             if "gsd_m" in known and not name.startswith("us_"):
@@ -131,13 +131,13 @@ def scenes() -> Iterator[tuple[str, np.ndarray, float, str]]:
 
 
 def chips() -> Iterator[tuple[str, np.ndarray, float, str]]:
-    """American pictures of a foot per pixel."""
+    """American chips of one foot per pixel."""
     for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
         yield path.stem, cv2.imread(str(path))[..., ::-1], CHIP_GSD, "US"
 
 
 def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray, float, str]]:
-    """Drawn ones, one a picture, in all directions, worn, partly under vehicles, blurred, in noise."""
+    """Drawn anchors, one in each picture, in all directions, worn, partly under vehicles, blurred and noisy."""
     rng = np.random.default_rng(4)
     for number in range(count):
         turn, looks = rng.uniform(0, np.pi), {"blur_px": rng.uniform(0.5, 0.9), "noise": rng.uniform(1, 5)}

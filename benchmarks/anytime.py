@@ -1,11 +1,12 @@
-"""Anytime against exhaustive: is a sweep that stops early fair, and what does stopping save?
+"""Anytime against exhaustive: is a sweep that stops early unbiased, and how much does stopping save?
 
     python benchmarks/anytime.py RASTER.tif --fleet DE [--seeds 200]
 
-One exhaustive sweep of RASTER (kept in the cache, so a second run of this takes no time for it) knows what every tile
-shows. Anytime sweeps are then run over it for many seeds, each with its own order of tiles and its own far looks, and
-compared with it. What a sweep costs is counted in network pixels (of both looks and the far looks), which does not
-depend on who else uses the machine; --time also runs both for real, one after the other.
+One exhaustive sweep of RASTER gives what every tile shows (it is kept in the cache, so a second run of this program
+takes no time for it). Anytime sweeps are then run over it for many seeds, each with its own order of tiles and its own
+sample of the coarse pass, and compared with it. The cost of a sweep is counted in network pixels (of both detection
+passes and of the coarse pass), which does not depend on who else uses the machine; --time also runs both for real, one
+after the other.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def main() -> None:
     far = np.array([hint(job, detector) for job in jobs])
 
     def scale_of(found: Found | Detections) -> Scale:
-        """By the vehicles found so far, the same way for all sweeps. Raises TooLittleEvidence."""
+        """The scale by the vehicles found so far, measured in the same way for all sweeps. Raises TooLittleEvidence."""
         return measure(PlanGeometry.of(plan, replace(every, boxes=found.boxes)), fleet).scale
 
     def sampling(found: Found | Detections) -> float:
@@ -70,7 +71,7 @@ def main() -> None:
     with TileCache(key) as cache:
 
         def seen_before(order: np.ndarray, stop: Stop | None = None) -> Found:
-            """A sweep of which every look is in the cache."""
+            """A sweep in this order, all of whose looks are in the cache."""
             return sweep_twice(jobs, order, lambda _: iter(()), cache, stop, sure=detector.sure, passes=detector.passes)
 
         whole = scale_of(seen_before(np.arange(len(jobs))))

@@ -1,11 +1,12 @@
-"""The whole program on changed copies of every orthophoto of known scale: as people come by them.
+"""The whole program on changed copies of every orthophoto of known scale, as people may have them.
 
     python benchmarks/changed_places.py BOXES [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
                                               [--changes NAMES]
 
 The scenes are those of `places.py`, with the country's fleet. Copies are PNG files without georeferencing. The boxes of
-each copy are kept in the folder BOXES, so that a second run takes seconds. Of each change: how many are answered, the
-errors of the scales, by how much they differ from those of the same places as they are, and how many intervals hold.
+each copy are kept in the folder BOXES, so that a second run takes seconds. Printed for each change: how many copies
+have an answer, the errors of the scales, how much they differ from those of the unchanged places, and how many
+intervals hold.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ def _sharpened(pixels: np.ndarray) -> np.ndarray:
 
 
 def _of_video(pixels: np.ndarray) -> np.ndarray:
-    """As the last of eight frames of a moving camera's video shows it: a quarter of a bit for a pixel, as of drones."""
+    """As in the last of eight frames of a video by a moving camera, with a quarter of a bit per pixel as drones
+    have."""
     even = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]
     height, width = even.shape[:2]
     with tempfile.TemporaryDirectory() as scratch:
@@ -79,7 +81,7 @@ def _of_video(pixels: np.ndarray) -> np.ndarray:
     return last
 
 
-# Name: how many pixels of the copy one of the picture's becomes, and how.
+# Name: by what factor the copy is larger than the picture, and the function that makes it.
 CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     AS_THEY_ARE: (1, lambda p: p),
     "grey": (1, lambda p: cv2.cvtColor(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)),
@@ -105,7 +107,7 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
 
 
 def scale_of(scene: Scene, boxes: Path, networks: dict[str, str | Path | None]) -> tuple[float, bool] | None:
-    """Error of the logarithm of a scene's scale, with its country's fleet, and whether the interval holds; None where
+    """Error of the logarithm of a scene's scale, with its country's fleet, and whether the interval holds; None if
     there is no scale. Boxes are kept in the file `boxes`."""
     if not boxes.exists():
         try:

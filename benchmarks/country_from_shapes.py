@@ -1,8 +1,9 @@
-"""Do the shapes of boxes tell the country? ``python benchmarks/country_from_shapes.py BOXES``.
+"""Do the shapes of boxes show the country? ``python benchmarks/country_from_shapes.py BOXES``.
 
-For each orthophoto of known scale the boxes in the folder BOXES (`places.py` leaves them there) are pooled as of every
-country; how much of the evidence is believed decides how probable the true country is. The share with the highest mean
-log probability is SHAPES_TOLD of `core.pooling.robust`; so is the error of `world` and whether its interval holds.
+For each orthophoto of known scale the boxes in the folder BOXES (`places.py` leaves them there) are pooled with the
+fleet of every country. How probable the true country comes out depends on the share of the evidence that is believed.
+SHAPES_TOLD of `core.pooling.robust` was chosen by the mean log probability for each share; the table also has the error
+with the fleet `world` and whether its interval holds.
 """
 
 from __future__ import annotations

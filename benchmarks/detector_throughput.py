@@ -1,10 +1,10 @@
-"""How many pixels per second the shipped detector and finder look at, and how many vehicles the measurer measures.
+"""How many pixels per second the shipped detector and finder process, and how many vehicles the measurer measures.
 
     python benchmarks/detector_throughput.py ../shared/data/orthophotos/manila.tif:0.8
 
-The picture is given with the zoom at which its vehicles are found. Tiles of 1024 x 1024 px; the networks work in turn,
-so that whatever else the machine does hits all; the best of the repetitions counts, which other work disturbs least.
-Processor seconds are those of all threads: on a busy machine they tell more than the clock does.
+The picture is given with the zoom at which its vehicles are found. Tiles have 1024 x 1024 px. The networks work in
+turn, so that other work of the machine affects all of them; the best of the repetitions counts, which is disturbed
+least. Processor seconds are those of all threads: on a busy machine they are more reliable than the clock.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from orthoscale.detect.measurer import Measurer
 from orthoscale.detect.tiles import TILE, read, tiles
 from orthoscale.sources.raster import RasterSource
 
-VEHICLES = 64  # that the measurer measures at a time
+VEHICLES = 64  # that the measurer measures in one call
 
 
 def best_seconds(works: list[Callable[[], object]], repetitions: int) -> np.ndarray:
-    """(works, 2) shortest time that each takes: by the clock, and of the processor in all threads [s]."""
+    """(works, 2) shortest time of each: by the clock, and of the processor in all threads [s]."""
     seconds = np.full((repetitions, len(works), 2), np.inf)
     for row in seconds:
         for k, work in enumerate(works):
@@ -38,7 +38,7 @@ def best_seconds(works: list[Callable[[], object]], repetitions: int) -> np.ndar
 
 
 def filled(image: np.ndarray) -> np.ndarray:
-    """`image`, mirrored at its right and lower edge up to a whole tile."""
+    """`image`, extended to a whole tile by mirroring at its right and lower edges."""
     missing = [max(TILE - side, 0) for side in image.shape[:2]]
     return cv2.copyMakeBorder(image, 0, missing[0], 0, missing[1], cv2.BORDER_REFLECT)
 

@@ -3,9 +3,10 @@
     python benchmarks/fix_all.py [DATA [SCENE ...]]
 
 DATA is the folder of the real data (see CONTRIBUTING.md), SCENE names of its reconstructions. Each scene is fixed in
-each measuring mode and each order of imports, every run a process of its own; what the detector saw is kept between
-them. What is written is opened again and measured against what `fix` said; where it refuses (exit code 3 or 4), nothing
-may be there, and the row says why. Prints Markdown, and ends with 1 if anything is missing, wrong or different.
+each measuring mode and with each order of imports, every run in a process of its own; detections are cached between
+runs. The output is opened again and compared with the scale that `fix` returned. If `fix` refuses (exit code 3 or 4),
+there must be no output, and the row says why. Prints Markdown, and ends with 1 if anything is missing, wrong or
+different.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ ORDERS = {
     "torch first": "import torch, pycolmap, orthoscale",
     "open3d first": "import open3d, pycolmap, orthoscale",
 }
-ORDERS = {name: line for name, line in ORDERS.items() if find_spec(name.split()[0])}  # of what is installed
+ORDERS = {name: line for name, line in ORDERS.items() if find_spec(name.split()[0])}  # those that are installed
 RUN = """
 import json, sys
 {imports}
@@ -43,7 +44,7 @@ except orthoscale.OrthoscaleError as why:
 else:
     print(json.dumps([scale.value, *scale.interval90, scale.vehicles_used, scale.verdict]))
 """
-BESIDE = ("", ".html", ".json", ".png")  # of an orthophoto
+BESIDE = ("", ".html", ".json", ".png")  # endings of the files beside an orthophoto
 WRITTEN = ("report.html", "report.json", "vehicles.png", "sim3.txt", "sim3_4x4.txt", "sim3.json")
 
 
@@ -65,8 +66,8 @@ def scenes(data: Path) -> dict[str, tuple[Path, float, dict[str, str]]]:
 
 
 def fixed(source: Path, out: Path, imports: str, options: dict[str, str]) -> tuple[list | dict, str]:
-    """What one run said (scale, low, high, vehicles, verdict; the exit code and why where it refused; empty if it
-    failed), and its last word if it failed."""
+    """The result of one run (scale, low, high, vehicles, verdict; exit code and reason if it refused; empty if it
+    failed), and its last line of output if it failed."""
     words = [sys.executable, "-c", RUN.format(imports=imports), str(source), str(out), json.dumps(options)]
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
     done = subprocess.run(words, env=environment, capture_output=True, text=True)
@@ -76,8 +77,8 @@ def fixed(source: Path, out: Path, imports: str, options: dict[str, str]) -> tup
 
 
 def fault(source: Path, out: Path, scale: float) -> str:
-    """What is wrong with what was written: files that are not there, pixels or distances of cameras that are not
-    `scale` times as large; "" for nothing."""
+    """What is wrong with the output: missing files, or pixels or distances of cameras that are not `scale` times as
+    large; "" if nothing is."""
     names = [out.with_name(f"{out.name}{end}") for end in BESIDE] if out.suffix else [out / name for name in WRITTEN]
     if missing := [name.name for name in names if not name.is_file()]:
         return f"without {', '.join(missing)}"
@@ -92,7 +93,7 @@ def fault(source: Path, out: Path, scale: float) -> str:
 
 
 def left(out: Path) -> str:
-    """What a run that refused has left of its output; "" for nothing."""
+    """Which files a run that refused has left; "" if none."""
     rest = [path.name for path in out.parent.iterdir() if out.stem in path.name]
     return f"refused, but left {', '.join(rest)}" if rest else ""
 
@@ -106,7 +107,7 @@ def _extent(folder: Path) -> float:
 
 
 def cells(said: list | dict, truth: float, source: Path) -> tuple[str, ...]:
-    """Scale, error, interval, vehicles, verdict, and what is written where nothing is wrong, for a row."""
+    """Cells of a row: scale, error, interval, vehicles, verdict, and what is written if nothing is wrong."""
     if isinstance(said, dict):
         why = said["why"].removeprefix(f"{source}: ")
         return ("", "", "", "", f"refused (exit {said['exit']}): {why}", "nothing")

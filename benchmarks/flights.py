@@ -1,16 +1,16 @@
-"""How near is the scale of a reconstruction, and do its intervals keep their word?
+"""How accurate is the scale of a reconstruction, and do its 90 % intervals hold?
 
     python benchmarks/flights.py                       # 300 simulated flights: ten minutes to half an hour
     python benchmarks/flights.py --flights 40 --known  # fleet and box bias are known: what geometry adds
     python benchmarks/flights.py --flights 40 --dense  # the same flights with a dense cloud beside each model
 
-Simulated blocks (`tests/support/blocks.py`): nadir, oblique, grid and strip flights over slopes, trees and roofs,
-few or many sparse points, and models whose focal length is 10 to 20 % too long. Boxes are those of a perfect detector
-with noise, through the true cameras; ground, projection, both ways of measuring and pooling are the program's own.
-What the program claims not to know is off by as much: the fleet, its mix at the place, vans among it, box bias, how
-sizes are drawn to the usual, up to where and of what body boxes enclose vehicles. With ``--known`` fleet, mix and box
-bias are exact, and the program is told so.
-Prints Markdown, seeded. ``--rows FILE`` goes on where an earlier run ended.
+Simulated blocks (`tests/support/blocks.py`): nadir, oblique, grid and strip flights over slopes, trees and roofs, few
+or many sparse points, and models whose focal length is 10 to 20 % too long. Boxes are those of a perfect detector with
+noise, through the true cameras; ground, projection, both measuring modes and pooling are the program's own. Whatever
+the program states an uncertainty for is off by as much: the fleet, its mix at the place, vans among it, box bias,
+shrinkage, and the height and the shape of the bodies that boxes enclose. With ``--known`` fleet, mix and box bias are
+exact, and the program knows it.
+Prints Markdown, seeded. ``--rows FILE`` continues an earlier run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orthoscale.core.measuring.ways import measure_source
 from orthoscale.errors import OrthoscaleError
 from orthoscale.fleets import load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.blocks import EXACT, KINDS, RULER, Conditions, exactly, fly  # noqa: E402
 from support.simulate import table  # noqa: E402
@@ -40,8 +40,9 @@ FEW_POINTS, WOODED, GROUND_OFF = 600, 0.5, 0.02
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one flight. error : log(value / truth), modes : the same by each way. ground_off : by what share of the
-    cameras' height the sheet under the sparse points lies off, in the median."""
+    """The result of one flight. error : log(value / truth), modes : the same in each measuring mode. lost : share of
+    the boxes that could not be measured. ground_off : median error of the ground sheet under the sparse points, as a
+    share of the cameras' height."""
 
     conditions: Conditions
     error: float
@@ -53,7 +54,7 @@ class Outcome:
 
     @classmethod
     def read(cls, row: dict[str, Any]) -> Outcome:
-        """From what `asdict` gives."""
+        """The inverse of `asdict`."""
         return cls(**{**row, "conditions": Conditions(**row["conditions"])})
 
 
@@ -68,7 +69,7 @@ ROWS: dict[str, Callable[[Outcome], bool]] = {
 
 
 def outcome(number: int, known: bool, dense: bool) -> Outcome:
-    """The flight of that number. Raises OrthoscaleError where it has no scale."""
+    """The outcome of the flight of that number. Raises OrthoscaleError if it has no scale."""
     rng = np.random.default_rng([19, number])
     conditions = Conditions.drawn(rng, KINDS[number % len(KINDS)])
     fleet = load_fleet(FLEETS[number % len(FLEETS)])

@@ -1,9 +1,10 @@
-"""How many views of a place it takes: the scale by some frames of a model against that by all of them.
+"""How many views of a place are needed: the scale from some frames of a model against that from all of them.
 
     python benchmarks/frames_needed.py MODEL --fleet US
 
-All frames are looked at once (kept in the cache). Then the scale is measured with those that show every place 1, 2, 4
-times and more (`detect.cover`). No anchors: these would hide what the vehicles say. Prints Markdown.
+All frames are searched once (kept in the cache). Then the scale is measured with those that show every place 1, 2, 4
+times and more (`detect.cover`). Anchors are not used: they would hide the effect on the vehicles' scale. Prints
+Markdown.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def _only(boxes: Mapping[str, Boxes], names: Collection[str]) -> dict[str, Boxes
 
 
 def _apart(some: Measurement, every: Measurement) -> str:
-    """Relative differences of each way and of both together, and the sampling part."""
+    """Relative differences in each measuring mode and of both together, and the sampling part."""
     cells = [
         f"{100 * (some.modes[way].scale.value / every.modes[way].scale.value - 1):+.1f} %"
         if way in some.modes and way in every.modes

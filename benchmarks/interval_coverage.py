@@ -1,10 +1,10 @@
-"""Do the 90 % intervals keep their word, and how near is the value?
+"""Do the 90 % intervals hold, and how accurate is the value?
 
-    python benchmarks/interval_coverage.py                        # every table: hours; with --scenes 100 one
+    python benchmarks/interval_coverage.py                        # every table: hours; one with --scenes 100
     python benchmarks/interval_coverage.py country --scenes 3     # one of them: minutes
 
 Simulated car parks in orthophotos; in each, the fleet's mean, its classes, the margin and the labels' bias are off by
-as much as they claim to be. Pooled by orthoscale and, on the same boxes, by the paper's IQR mean.
+as much as their stated uncertainties. Pooled by orthoscale and, on the same boxes, by the paper's IQR mean.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import fleet_codes, load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import Vans, car_park, table  # noqa: E402
 
@@ -36,18 +36,18 @@ VEHICLES = 60
 GSDS = (0.05, 0.12, 0.30)  # metres per pixel, taken in turn
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
 NO_MARGIN = Ruler(margin=(0.0, 0.0), margin_sd=(0.0, 0.0), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
-# A detector that draws sizes to the usual as the shipped one does on rendered scenes (`training.shrink`).
+# A detector with the shrinkage that the shipped one has on rendered scenes (`training.shrink`).
 DRAWING = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
 NO_VANS = Vans()
 CARD = Path(__file__).parents[1] / "training" / "measurer" / "card_m21.json"
 SHIPPED = MeasurerCard.from_json(CARD.read_text(), str(CARD)).ruler
-# The measurer's boxes, of which the noise is a share of the vehicle (3 % of length, 4.4 % of width: 1.1 and 0.66 px at
-# 12 cm/px) and hardly any margin is left open, as its card has it: alike at every pixel size. And what it calls them.
+# Boxes of the measurer as on its card: their noise is a share of the vehicle at every pixel size (3 % of length, 4.4 %
+# of width: 1.1 and 0.66 px at 12 cm/px), and the margin is hardly uncertain. With its vehicle kinds.
 MEASURED = replace(
     RULER, margin=SHIPPED.margin, margin_sd=SHIPPED.margin_sd, bias_sd=SHIPPED.bias_sd, noise=(1.1, 0.66),
     shrink_sd=(0.0, 0.0), kinds=SHIPPED.kinds, kinds_vehicles=SHIPPED.kinds_vehicles,
 )  # fmt: skip
-CONDITIONS = {  # vans among the vehicles (None: as many as places have), share of false boxes among the boxes
+CONDITIONS = {  # vans among the vehicles (None: as many as places usually have), share of false boxes
     "vehicles only": (NO_VANS, 0.0),
     "vans": (None, 0.0),
     "10 % false boxes": (NO_VANS, 0.1),
@@ -59,7 +59,7 @@ ONE_KIND = {
     "25 % of middle size": Vans(0.25, 0.0),
     "25 % large": Vans(0.25, 1.0),
 }
-ODD = {  # places by what most of their vehicles are, whatever the country: of a class of the fleet, or vans beside it
+ODD = {  # places by what most of their vehicles are in any country: a class of the fleet, or vans beside it
     "as places are": (None, None),
     "80 % pickups": (("pickup", 0.8), NO_VANS),
     "no pickups": (("pickup", 0.0), NO_VANS),
@@ -74,14 +74,14 @@ COUNTS = (5, 10, 20, 50, 100, 300, 1000, 3000, 10_000)
 
 @dataclass
 class Tally:
-    """What one set of scenes gave: errors as log(value / truth), claimed one-sigmas, hits of the intervals."""
+    """The results of one set of scenes: errors as log(value / truth), claimed one sigmas, whether intervals hold."""
 
     error: np.ndarray
     sd: np.ndarray
     hit: np.ndarray
     paper_error: np.ndarray
     paper_hit: np.ndarray
-    fair_error: np.ndarray  # the paper's, with the margin taken off the boxes
+    fair_error: np.ndarray  # the paper's, with the margin subtracted from the boxes
     refused: int
 
     def cell(self) -> str:
@@ -107,8 +107,8 @@ def run(
 ) -> Tally:
     """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call.
 
-    `vans` are None for as many as each place has, `most` and `hidden` as of `car_park`. kinds : seen, if the ruler has
-    a table of them.
+    vans : None for as many as places usually have. most, hidden : as in `car_park`. kinds : whether kinds are seen, if
+    the ruler has a table of them.
     """
     rows, refused = [], 0
     for k in range(scenes):
@@ -122,7 +122,7 @@ def run(
         except TooLittleEvidence:
             refused += 1
             continue
-        # The paper's estimator, told the fleet's mean size; its score threshold has a table of its own.
+        # The paper's estimator, with the fleet's mean size; its score threshold has a table of its own.
         paper, fair = (
             pool_iqr((fleet.mean[:2] / size).mean(1), np.ones(n))
             for size in (votes.size, np.maximum(votes.size - ruler.margin, 1.0))
@@ -163,7 +163,7 @@ def by_gsd(name: str, scenes: int) -> str:
 
 
 def by_vans(scenes: int) -> str:
-    """Each fleet where vans of one kind stand, as many at every place."""
+    """Each fleet with vans of one kind, the same share at every place."""
     rows = []
     for code in FLEETS:
         fleet = load_fleet(code)
@@ -172,7 +172,7 @@ def by_vans(scenes: int) -> str:
 
 
 def by_kinds(scenes: int) -> str:
-    """Places like their country and odd ones, with vans and 10 % false boxes, without and with kinds."""
+    """Usual places and odd ones, with vans and 10 % false boxes, without and with vehicle kinds."""
     rows = []
     for code in ("US", "TH", "ZA", "DE", "PH"):
         fleet = load_fleet(code)
@@ -184,7 +184,7 @@ def by_kinds(scenes: int) -> str:
 
 
 def by_oddness(scenes: int) -> str:
-    """Places like their country and odd ones, with measured boxes and what they are called."""
+    """Usual places and odd ones, with measured boxes and vehicle kinds."""
     rows = []
     for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
         fleet = load_fleet(code)
@@ -198,7 +198,7 @@ def by_oddness(scenes: int) -> str:
 
 
 def by_hidden(scenes: int) -> str:
-    """Each fleet with measured boxes and vans, where more or fewer vehicles are partly hidden."""
+    """Each fleet with measured boxes and vans, by the share of vehicles that are partly hidden."""
     rows = []
     for code in FLEETS:
         fleet = load_fleet(code)
@@ -207,14 +207,14 @@ def by_hidden(scenes: int) -> str:
 
 
 def without_country(scenes: int) -> str:
-    """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world`; and as many places in
-    countries drawn as it holds them for likely."""
+    """Places pooled with the fleet `world`: `scenes` of them with the vehicles of each fleet of the table, and as many
+    in countries drawn by the prior of `world`."""
     codes = [code for code in fleet_codes() if code not in (WORLD, "PAPER")]
     rows = []
     fleet = load_fleet("world")
     rng = np.random.default_rng(4)
     likely = rng.choice([c.code for c in fleet.candidates], len(codes) * scenes, p=fleet.prior)
-    # The average stands for countries unlike all that have fleets of their own.
+    # The world's average stands for countries that are none of the candidates.
     unlike = [code for code in codes if code not in {c.code for c in fleet.candidates}]
     likely = [rng.choice(unlike) if code == WORLD else str(code) for code in likely]
     boxes = {"bare boxes": RULER, "measured, with kinds": MEASURED}
@@ -229,7 +229,7 @@ def without_country(scenes: int) -> str:
 
 
 def _without_country(k: int, code: str, fleet: Fleet, ruler: Ruler) -> tuple[float, float, bool]:
-    """Log error, claimed one-sigma and whether the interval holds, of the `k`-th place, in the country of that code."""
+    """Log error, claimed one sigma and whether the interval holds, for the `k`-th place, in the country `code`."""
     rng = np.random.default_rng([3, k])
     gsd, (vans, false) = GSDS[rng.integers(len(GSDS))], list(CONDITIONS.values())[rng.integers(len(CONDITIONS))]
     here = load_fleet(code)
@@ -240,7 +240,7 @@ def _without_country(k: int, code: str, fleet: Fleet, ruler: Ruler) -> tuple[flo
 
 
 def by_count(code: str, vans: Vans | None, false: float, scenes: int) -> str:
-    """Error against the number of boxes, and what the paper's mean makes of the same boxes."""
+    """Error against the number of boxes, also of the paper's mean from the same boxes."""
     rows = []
     for n in COUNTS:
         t = run(load_fleet(code), scenes if n < 3000 else scenes // 2, n, vans=vans, false=false)
@@ -252,7 +252,8 @@ def by_count(code: str, vans: Vans | None, false: float, scenes: int) -> str:
 
 
 def paper_thresholds(scenes: int) -> str:
-    """The paper's two thresholds: scenes answered, and the RMS error of those, fleet and margin known exactly."""
+    """The paper's two thresholds: the share of scenes with an answer and their RMS error; fleet and margin are
+    exact."""
     fleet = load_fleet("PAPER")
     known = replace(fleet, mean_sd=np.full(3, 1e-6))
     exact = replace(NO_MARGIN, bias_sd=(0.0, 0.0))

@@ -1,12 +1,12 @@
-"""Make orthophotos of any size, from rendered scenes or real frames: what the benchmarks of the sweep read.
+"""Make orthophotos of any size, from rendered scenes or real frames, for the benchmarks of the sweep.
 
     python benchmarks/large_raster.py OUT.tif --mpx 460 --scenes FOLDER [--compress deflate] [--overviews]
     python benchmarks/large_raster.py OUT.tif --mpx 460 --frames ../shared/data/reconstructions/sheffield/images
 
 Thirty scenes of 2048 x 2048 px at 0.1 m/px are rendered once and kept in FOLDER (five minutes of one core). The raster
-is a grid of them, each turned and mirrored at random: most blocks are parks and villages with few vehicles, as most of
-a survey is. A third of the blocks have streets or car parks. Frames, all of one size, are taken alike, mirrored at
-random. The seed decides everything.
+is a grid of them, each turned and mirrored at random. Most blocks are parks and villages with few vehicles, as in most
+surveys; a third of the blocks have streets or car parks. Frames, all of one size, are used in the same way, with equal
+shares. The seed determines everything.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ KINDS = [
 
 
 def scenes(folder: Path) -> list[list[Path]]:
-    """Files of rendered scenes, by kind; those that are not there yet are made."""
+    """Files of rendered scenes, by kind; missing ones are rendered."""
     folder.mkdir(parents=True, exist_ok=True)
     files: list[list[Path]] = []
     for k, (style, vehicles, count, _) in enumerate(KINDS):
@@ -55,7 +55,7 @@ def scenes(folder: Path) -> list[list[Path]]:
 def make(
     out: Path, mpx: float, files: list[list[Path]], shares: list[float], compress: str, overviews: bool, seed: int = 0
 ) -> None:
-    """A grid of blocks, each a picture of one kind of `files`, kinds drawn by `shares`."""
+    """Write a grid of blocks, each a picture of one kind of `files`; kinds are drawn by `shares`."""
     rng = np.random.default_rng(seed)
     pictures = {p: cv2.cvtColor(cv2.imread(str(p)), cv2.COLOR_BGR2RGB) for kind in files for p in kind}
     height, width = next(iter(pictures.values())).shape[:2]

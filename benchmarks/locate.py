@@ -1,9 +1,9 @@
 """Success of `orthoscale locate` on simulated pairs: against scale error, heading and footprint, by method.
 
 The map is a mosaic of real orthophotos (../shared/data: places, orthophotos) with chips of American cities between
-them. Photos are what a pinhole camera sees of it at another date
-(tests/support/aerial.py): season, a fifth of the ground rebuilt, vehicles moved, light, lean, defocus, noise. Photos
-of what is not on the map: `locate_negatives.py`.
+them. Photos are what a pinhole camera would see of it at another date (tests/support/aerial.py): season, a fifth of the
+ground rebuilt, vehicles moved, light, lean, defocus, noise. For photos of places that are not on the map see
+`locate_negatives.py`.
 
     python benchmarks/locate.py --photos 20 --method gradient dense    # Markdown on standard output
 """
@@ -36,7 +36,7 @@ from orthoscale.locate.register import Known, PlaceFinder, Registration, registe
 from orthoscale.sources.satellite import Satellite  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-FINE, COARSE = 0.2, 0.4  # [m/px] of what photos see, and of the map
+FINE, COARSE = 0.2, 0.4  # [m/px] of the ground that photos see, and of the map
 SIDE = 6000  # [px] of the mosaic: 1.44 km2
 CHIP_GSD, CHIP_STEP = 0.3048, 390  # [m/px]; [px] of the mosaic that a chip of 256 px covers
 FOCAL, WIDTH, HEIGHT = 600.0, 640, 480  # [px] of the photos
@@ -47,7 +47,8 @@ INTERVAL = (0.9, 1.1)  # the 90 % interval of a scale by vehicles
 
 @dataclass(frozen=True)
 class City:
-    """fine : what photos see. rects : (x, y, width, height) of its real orthophotos [px of `fine`]. sky : the map."""
+    """fine : the ground that photos see. rects : (x, y, width, height) of its real orthophotos [px of `fine`]. sky :
+    the map."""
 
     fine: np.ndarray
     rects: list[tuple[int, int, int, int]]
@@ -56,7 +57,7 @@ class City:
 
 @dataclass(frozen=True)
 class Nadir:
-    """A `Seen` of a picture from straight above that claims `gsd`; its own place is its middle."""
+    """A `Query` for a nadir picture with the claimed `gsd` [m/px]; its reference point is its middle."""
 
     rgb: np.ndarray
     gsd: float
@@ -97,7 +98,7 @@ def chips(kinds: Sequence[str] = ("",)) -> list[Path]:
 def mosaic(
     parts: list[np.ndarray], between: Sequence[Path], side: int = SIDE
 ) -> tuple[np.ndarray, list[tuple[int, int, int, int]]]:
-    """A city from above, BGR, `side` px wide: `parts`, chips `between` them; and where the parts are."""
+    """A city from above, BGR, `side` px wide, of `parts` with chips `between` them; and where the parts are."""
     parts = sorted(parts, key=lambda part: -part.shape[0])
     city, used, rects = np.zeros((side, side, 3), np.uint8), np.zeros((side, side), bool), []
     x = y = row = 0
@@ -130,7 +131,7 @@ def written(city: np.ndarray, path: Path) -> Satellite:
 
 
 def shots(city: City, count: int, footprint: float, seed: int) -> list[tuple[Shot, np.ndarray]]:
-    """Photos `footprint` m wide over the city's real orthophotos at another date: poses and pictures (RGB)."""
+    """Poses and pictures (RGB) of photos, `footprint` m wide, over the city's real orthophotos at another date."""
     draw = np.random.default_rng(seed)
     area = np.array([w * h for _, _, w, h in city.rects], float)
     taken = []
@@ -148,8 +149,8 @@ def shots(city: City, count: int, footprint: float, seed: int) -> list[tuple[Sho
 
 @dataclass(frozen=True)
 class Case:
-    """What is tried: photo `number` of those `footprint` m wide, its claimed scale `factor` times the right one, its
-    heading `told` to 6 degrees or not at all, by `method`."""
+    """One trial by `method`: photo `number` of those `footprint` m wide, with a claimed scale `factor` times the right
+    one, its heading given to 6 degrees (`told`) or not at all."""
 
     method: str
     footprint: float
@@ -160,9 +161,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Trial:
-    """One search. error : of the best candidate [m], None without any. z : of the scale of an answer, in sigmas, None
-    without. inliers, needed : matches that agree at the best candidate, and that must. seconds : processor time of the
-    search; wall time by retrieval, whose network has a process of its own."""
+    """One search. error : of the best candidate [m], None without any. z : error of the scale of an answer in sigmas,
+    None without one. inliers, needed : matches that agree at the best candidate, and that must agree. seconds :
+    processor time of the search; for retrieval wall time, as its network has a process of its own."""
 
     case: Case
     error: float | None
@@ -196,7 +197,7 @@ class Method:
         return cls(name, GradientFeatures())
 
     def searched(self, seen: Nadir, sky: Satellite, known: Known) -> tuple[Registration, float]:
-        """What came of it, and its seconds."""
+        """The registration, and its duration [s]."""
         clock = time.process_time if self.finder is None else time.perf_counter
         begun = clock()
         found = register(seen, sky, self.features, known, finder=self.finder)
@@ -219,7 +220,7 @@ def tried(city: City, method: Method, case: Case) -> Trial:
 
 
 def cases(method: str, photos: int) -> list[Case]:
-    """All that the tables show, a photo at a time, so that what is there after any time is even."""
+    """All cases of the tables, one photo after the other, so that the tables are even whenever the run is stopped."""
     every = []
     for number in range(photos):
         for told in (True, False):
@@ -229,7 +230,7 @@ def cases(method: str, photos: int) -> list[Case]:
 
 
 def kept(path: Path | None) -> list[Trial]:
-    """The trials that were written to `path` before."""
+    """The trials that earlier runs wrote to `path`."""
     if path is None or not path.exists():
         return []
     rows = [json.loads(line) for line in path.read_text().splitlines()]
@@ -243,7 +244,7 @@ HEAD = (
 
 
 def line(label: str, trials: list[Trial]) -> str:
-    """A row of a table: shares of photos, and how many answers were more than 20 m off."""
+    """A row of a table: shares of photos, and the number of answers more than 20 m off."""
     error = np.array([np.inf if t.error is None else t.error for t in trials])
     answered = np.array([t.answered for t in trials])
     z = [t.z for t in trials if t.z is not None]
@@ -258,7 +259,7 @@ def line(label: str, trials: list[Trial]) -> str:
 
 
 def tables(trials: list[Trial]) -> None:
-    """Tables on standard output, of those cells that have trials."""
+    """Print tables of the cells that have trials."""
     for method, told in itertools.product(dict.fromkeys(t.case.method for t in trials), (True, False)):
         these = [t for t in trials if t.case.method == method and t.case.told == told]
         heading = "heading known to 6 degrees" if told else "heading not known"

@@ -1,9 +1,9 @@
 """`orthoscale locate` on real pictures: frames of a flight on an orthophoto of other frames of the same flight.
 
-The map is put together from one half of the frames, in the order of their names, each place from the frame that looks
-at it most steeply, over the ground of the reconstruction. The other half are the photos, with pitch, roll and focal
-length of the model, and a claimed scale that is right or wrong. So roofs lean and trees are seen from another side;
-light, season and camera are the same. The truth is the model's.
+The map is made of the first half of the frames, in the order of their names, each place from the frame that sees it
+most steeply, over the ground of the reconstruction. The second half are the photos, with pitch, roll and focal length
+of the model, and a claimed scale that is right or wrong. So roofs lean and trees are seen from another side; light,
+season and camera are the same. The truth is the model's.
 
     python benchmarks/locate_flights.py sheffield brighton      # Markdown on standard output; reads ../shared/data
 """
@@ -36,8 +36,8 @@ from orthoscale.sources.satellite import Satellite
 from orthoscale.sources.tags import read_tags
 
 MAP_ACROSS = 1600  # [px] the longer side of the map
-CHOSEN_EVERY = 16  # [px] of the map over which one frame is chosen
-STEEPEST = 60.0  # [deg] off straight down up to which a frame may give a place its pixels
+CHOSEN_EVERY = 16  # [px] side of the blocks of the map for which one frame is chosen
+STEEPEST = 60.0  # [deg] off nadir, up to which a frame may be used for a place
 SCALES = (0.8, 1.0, 1.25)  # claimed over true
 INTERVAL = (0.8, 1.25)  # the 90 % interval of the claimed scale
 EAST, NORTH = 500_000.0, 5_000_000.0  # of the map's corner
@@ -68,7 +68,7 @@ class Flight:
         return names[: len(names) // 2], names[len(names) // 2 :]
 
     def foot(self, name: str) -> np.ndarray:
-        """(2,) below the camera, on the plane that follows the ground."""
+        """(2,) the point below the camera, in the plane that follows the ground [model units]."""
         return self.posed.ground.plane(self.posed.centre(name)[None])[0]
 
     def up(self, name: str) -> np.ndarray:
@@ -81,11 +81,11 @@ class Flight:
         return Photo(name, self.images / name, tags, lens, self.up(name), 0.0, "the model")
 
     def altitude(self, name: str) -> float:
-        """[m]"""
+        """Height of the camera above the ground [m]."""
         return float(self.posed.ground.height_above(self.posed.centre(name)[None])[0]) * self.metres
 
     def heading(self, name: str) -> float:
-        """Of the picture's top, clockwise from the plane's second axis [rad]."""
+        """Direction of the picture's top, clockwise from the plane's second axis [rad]."""
         ahead = self.posed.rotation(name).T @ level_axes(self.up(name))[1]
         here = self.posed.centre(name)
         step = np.diff(self.posed.ground.plane(np.stack([here, here + ahead])), axis=0)[0]
@@ -94,7 +94,8 @@ class Flight:
 
 @dataclass(frozen=True)
 class Map:
-    """The map, and the plane's place of its upper left corner; `gsd` metres per pixel, `covered` share of it."""
+    """The map, and its upper left corner in the plane [model units]. gsd : [m/px]. covered : share of it with
+    pixels."""
 
     sky: Satellite
     corner: np.ndarray
@@ -146,7 +147,7 @@ def mapped(flight: Flight, names: list[str], path: Path) -> Map:
 
 @dataclass(frozen=True)
 class Trial:
-    """error : of the best candidate's foot [m], infinite without any."""
+    """error : of the best candidate's foot [m], infinite without a candidate."""
 
     error: float
     answered: bool
@@ -157,7 +158,7 @@ class Trial:
 
 def tried(flight: Flight, here: Map, name: str, method: Method, claimed: float, told: bool) -> Trial:
     seen = LevelledPhoto(flight.photo(name), flight.altitude(name) * claimed)
-    # The map's columns point to the grid's north, which is not quite north.
+    # The map's columns point to grid north, which differs a little from true north.
     grid = np.radians(pyproj.Proj(CRS).get_factors(*here.sky.lon_lat(np.array([[0, 0]]))[0]).meridian_convergence)
     known = Known(INTERVAL, flight.heading(name) + grid if told else None)
     try:

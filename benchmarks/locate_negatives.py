@@ -1,15 +1,15 @@
-"""Photos that `orthoscale locate` must not place: of ground that is not on the map, or told a wrong scale or heading.
+"""Photos that `orthoscale locate` must not place: of ground that is not on the map, or with a wrong scale or heading.
 
 Kinds, in turn, half of each with the heading known:
 
-same      the other half of the orthophotos whose one half is on the map
+same      one half of the orthophotos whose other half is on the map
 city      orthophotos of other cities, on a map of chips of American ones
 lots      car parks, mobile homes and dense housing, on a map of others of the same kinds
 frames    frames of the training scenes, on a map of orthophotos
 drawn     a drawn town, on a map of another
 rows      one block that is repeated all over the map: the photo is on it, in many places at once
 scale     photos of the map, 2.3 to 3 times too large or too small
-heading   photos of the map, 60 to 300 degrees off the heading that is told
+heading   photos of the map, 60 to 300 degrees off the given heading
 
 An answer more than 20 m off is wrong.
 
@@ -57,7 +57,7 @@ DRAWN = 2000  # [px] side of the drawn towns
 
 @dataclass(frozen=True)
 class Negative:
-    """A photo and a map. foot : where it is on the map [m right and down], None where it is not on it."""
+    """A photo and a map. foot : the photo's foot on the map [m right and down], None if it is not on it."""
 
     seen: Nadir
     sky: Satellite
@@ -67,8 +67,8 @@ class Negative:
 
 @dataclass(frozen=True)
 class Try:
-    """What came of one. share : matches over those needed, of the best candidate. error : of an answer [m], None where
-    there is none or no right one. small : whether the photo was refused as too small on the map."""
+    """The result for one. told : whether the heading was given. share : matches of the best candidate, divided by those
+    needed. problem : why there is no answer. seconds : duration of the search [s]."""
 
     method: str
     kind: str
@@ -82,7 +82,7 @@ class Try:
 
 
 class Ground:
-    """The pictures that photos and maps are cut from, made when they are asked for."""
+    """The pictures from which photos and maps are made, each made when first needed."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -92,7 +92,7 @@ class Ground:
 
     @cache  # noqa: B019 - one object
     def halves(self) -> tuple[City, City]:
-        """What is on the map, and what is not: the left and the right halves of the orthophotos."""
+        """Ground on the map, and other ground: the left and the right halves of the orthophotos."""
         between = chips()
         left = [part[:, : part.shape[1] // 2] for part in orthophotos()]
         right = [part[:, part.shape[1] // 2 :] for part in orthophotos()]
@@ -103,12 +103,12 @@ class Ground:
 
     @cache  # noqa: B019
     def american(self) -> Satellite:
-        """A map of chips alone."""
+        """A map of chips only."""
         return self._map("american", mosaic([], chips(), SMALL)[0])
 
     @cache  # noqa: B019
     def lots(self) -> tuple[Satellite, City]:
-        """A map of car parks and houses, and others that are not on it."""
+        """A map of car parks and houses, and a city of others that are not on it."""
         some = chips(LOTS)
         sky = self._map("lots", mosaic([], some[::2], SMALL)[0])
         return sky, City(mosaic([], some[1::2], SMALL)[0], [(0, 0, SMALL, SMALL)], sky)
@@ -122,7 +122,7 @@ class Ground:
 
     @cache  # noqa: B019
     def rows(self, which: int) -> City:
-        """A block of houses again and again."""
+        """A block of houses repeated all over the map."""
         block = cv2.resize(cv2.imread(str(chips(LOTS)[which])), (CHIP_STEP, CHIP_STEP))
         city = np.tile(block, (SMALL // CHIP_STEP, SMALL // CHIP_STEP, 1))
         return City(city, [(0, 0, *city.shape[1::-1])], self._map(f"rows{which}", city))
@@ -150,7 +150,7 @@ def lots(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
 
 
 def frames(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
-    """Their scale is about that of the map's photos; it does not matter for what is nowhere."""
+    """A training frame. Its scale is only about right; for ground that is not on the map this does not matter."""
     every = sorted((DATA / "vehicles" / "images").glob("*.*"))
     rgb = cv2.imread(str(every[int(draw.integers(len(every)))]))[..., ::-1]
     small = cv2.resize(rgb, (640, round(640 * rgb.shape[0] / rgb.shape[1])), interpolation=cv2.INTER_AREA)
@@ -191,7 +191,7 @@ KINDS: dict[str, Callable[[Ground, int, np.random.Generator], Negative]] = {
 def tried(ground: Ground, method: Method, kind: str, number: int) -> Try:
     draw = np.random.default_rng(70_000 + number)
     photo = KINDS[kind](ground, number, draw)
-    # With any heading allowed, a wrong one that is told would be no negative.
+    # Without a given heading, photos of the kind `heading` would be no negatives.
     told = bool(number // len(KINDS) % 2) or kind == "heading"
     known = Known(INTERVAL, np.radians(photo.heading + draw.uniform(-6, 6)) if told else None)
     try:
@@ -209,13 +209,13 @@ def tried(ground: Ground, method: Method, kind: str, number: int) -> Try:
 
 
 def numbers(count: int) -> Iterator[tuple[str, int]]:
-    """The kinds in turn."""
+    """`count` pairs of kind and number, the kinds in turn."""
     names = list(KINDS)
     return ((names[number % len(names)], number) for number in range(count))
 
 
 def table(tries: list[Try]) -> None:
-    """Wrong answers by kind, on standard output."""
+    """Print the wrong answers by kind."""
     print("| | negatives | answered | wrong | two places alike | most matches over those needed | s |")
     print("|---|---|---|---|---|---|---|")
     for name in [*KINDS, "all"]:

@@ -3,8 +3,8 @@
     python benchmarks/many_frames.py ../shared/data/reconstructions/sheffield --fleet US --copies 1 3 6 12
 
 Copies stand in a row along the longer axis of the ground, a tenth of their length apart; their pictures are links to
-the first one's. Nothing is taken from a cache. Prints Markdown: frames that were looked at, seconds by the clock and of
-the processor, and the process's peak memory.
+the original ones. No cache is used. Prints Markdown: frames that were searched, seconds by the clock and of the
+processor, and the process's peak memory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def copied(model: Path, out: Path, copies: int) -> None:
     sparse = next(iter(sorted(path.parent for path in (model / "sparse").rglob("cameras.*"))))
     whole = pycolmap.Reconstruction(sparse)
     points = np.array([point.xyz for point in whole.points3D.values()])
-    # Along the ground: the first of its principal axes, about the middle, without stray points.
+    # Along the ground: the first principal axis of the points, without stray ones.
     middle = np.median(points, axis=0)
     near = points[(np.abs(points - middle) <= 3 * np.median(np.abs(points - middle), axis=0)).all(1)]
     axis = np.linalg.svd(near - near.mean(0), full_matrices=False)[2][0]
@@ -72,16 +72,16 @@ def copied(model: Path, out: Path, copies: int) -> None:
             )
     for name, written in rows.items():
         (text / f"{name}.txt").write_text("\n".join(written) + "\n")
-    for name in ("rigs", "frames"):  # one of each for every image, which COLMAP makes by itself
+    for name in ("rigs", "frames"):  # COLMAP makes one of each for every image by itself
         (text / f"{name}.txt").unlink(missing_ok=True)
     pycolmap.Reconstruction(text).write_binary(out / "sparse")
 
 
 def timed(model: Path, out: Path, fleet: str) -> dict[str, float]:
-    """`fix` of `model` into `out`, in a process of its own: seconds and memory."""
+    """Seconds and memory [MB] of `fix` from `model` to `out`, in a process of its own."""
     command = [sys.executable, "-m", "orthoscale", "fix", str(model), "--fleet", fleet, "--out", str(out)]
     begun = time.perf_counter()
-    # The same vehicles again and again are no sample of a fleet; what that makes of the scale is no matter here.
+    # Copies of the same vehicles are no sample of a fleet; the scale does not matter here.
     process = subprocess.Popen([*command, "--no-cache", "--anchors", "none", "--force"], stdout=subprocess.DEVNULL)
     _, status, spent = os.wait4(process.pid, 0)
     if status:

@@ -2,7 +2,7 @@
 
     python benchmarks/memory.py RASTER.tif [RASTER.vrt ...] [-- --exhaustive --zoom 0.8 ...]
 
-`--grid N RASTER.tif OUT.vrt` makes a mosaic of N x N copies first, for sizes that the disk has no room for.
+`--grid N RASTER.tif OUT.vrt` only makes a mosaic of N x N copies, for sizes that would not fit on the disk.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import rasterio
 
 
 def mosaic(raster: Path, count: int, out: Path) -> None:
-    """A VRT of count x count copies of a raster of three 8-bit bands, side by side."""
+    """Write a VRT of count x count copies, side by side, of a raster of three 8-bit bands."""
     with rasterio.open(raster) as d:
         width, height = d.width, d.height
     bands = []
@@ -40,7 +40,7 @@ def mosaic(raster: Path, count: int, out: Path) -> None:
 
 
 def peak(raster: Path, options: list[str]) -> tuple[float, float, float, str]:
-    """Peak memory [MB], wall and processor seconds, first line of the answer."""
+    """Peak memory [MB], wall and processor seconds, and the first line of the answer."""
     job = [sys.executable, "-m", "orthoscale", "estimate", str(raster), "--no-cache", *options]
     start = time.perf_counter()
     process = subprocess.Popen(job, stdout=subprocess.PIPE, text=True)

@@ -1,14 +1,14 @@
 """orthoscale's sweep side by side with SAHI's and GeoDeep's slicing loops: speed, memory and boxes.
 
-    python -m venv peers && peers/bin/pip install sahi geodeep -e .      # as the package index has them
+    python -m venv peers && peers/bin/pip install sahi geodeep -e .      # as on the package index
     peers/bin/python benchmarks/peers.py RASTER.tif [--rounds 3]
 
-The same network (the shipped detector), the same raster at zoom 1, tiles of 1024 px with an eighth shared by
-neighbours, as many threads as cores, each side in a process of its own, in turns. `bare` is what no program could beat:
-the same tiles, decoded, resampled and normalised beforehand, go through the ONNX sessions of as many threads.
-orthoscale looks twice (one and a half times the pixels) and has oriented boxes; SAHI and GeoDeep look once, at upright
-ones. The anytime sweep stops when the sampling error is small enough. Mpx are those of the raster; memory is the
-process's peak, imports included; processor seconds matter where others use the machine too.
+All use the same network (the shipped detector), the same raster at zoom 1, tiles of 1024 px that share an eighth with
+neighbours, and as many threads as cores; each runs in a process of its own, in turns. `bare` is the bound that no
+program can beat: the same tiles, decoded, resampled and normalised beforehand, go through ONNX sessions on as many
+threads. orthoscale makes two detection passes (one and a half times the pixels) and gives oriented boxes; SAHI and
+GeoDeep make one pass and give upright ones. The anytime sweep stops when the sampling error is small enough. Mpx are
+those of the raster; memory is the process's peak, imports included; processor seconds matter if the machine is shared.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def tensor(image: np.ndarray) -> np.ndarray:
 
 
 def rows_of(maps: np.ndarray) -> np.ndarray:
-    """Upright boxes x1, y1, x2, y2, score, class score, which is what the others know."""
+    """Upright boxes x1, y1, x2, y2, score, class score, the form that the other programs use."""
     boxes = decode_maps(maps, SCORE)
     low, high = boxes.corners.min(1), boxes.corners.max(1)
     return np.column_stack([low, high, boxes.score, np.ones(len(boxes))]).astype(np.float32)
@@ -88,7 +88,7 @@ def ours(source: RasterSource, workers: int) -> Callable[[], int]:
 
     def run() -> int:
         source.close()
-        again = RasterSource.open(source.path)  # nothing decoded before
+        again = RasterSource.open(source.path)  # with nothing decoded yet
         own = [(again, tile) for _, tile in jobs]
         found = sweep_twice(own, np.arange(len(own)), lambda some: on_threads(some, detector, workers))
         return sum(map(len, found.boxes.values()))
@@ -164,7 +164,7 @@ def geodeep(source: RasterSource, workers: int) -> Callable[[], int]:
 
 
 def anytime(source: RasterSource, workers: int) -> Callable[[], int]:
-    # As `orthoscale estimate` asks: which fleet it is matters little for how sure the vehicles make it.
+    # As in `orthoscale estimate`. Which fleet it is matters little for the sampling error.
     detector, fleet = (
         Detector(threads=max(1, cores() // workers)),
         replace(load_fleet("world"), candidates=(), prior=()),
@@ -189,7 +189,7 @@ SIDES = {"bare": bare, "orthoscale": ours, "orthoscale, anytime": anytime, "SAHI
 
 
 def one(name: str, raster: Path) -> dict[str, float]:
-    """One run of a side in this process: seconds by the clock and of the processor, peak memory [MB], boxes."""
+    """One run of a program in this process: seconds by the clock and of the processor, peak memory [MB], boxes."""
     run = SIDES[name](RasterSource.open(raster), cores())
     start, used = time.perf_counter(), time.process_time()
     boxes = run()

@@ -4,16 +4,16 @@
                                 [--quarters | --chips]
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
-once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
-``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5; the
-other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground. ``--chips``:
-American places made of the chips, twelve of a kind each; the finder has learnt from them. Coverage comes with its own
-90 % interval (Clopper and Pearson 1934).
+once on each and the boxes are kept there. MEASURER is as for ``orthoscale --measurer``, `none` for the detector's boxes
+alone. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5;
+the other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground.
+``--chips``: American places made of the chips, twelve of one kind each; the finder was trained on them. Coverage comes
+with its own 90 % interval (Clopper and Pearson 1934).
 
-The last table is for the detector's card: how far the box bias of a place strays from the ruler's, which no number of
-boxes of that place tells. It is what the errors with the country's own fleet scatter by beyond sampling, fleet and
-geometry, by maximum likelihood, each place left out in turn; `common_sd` of the card is to be that (`bias_sd` is within
-it), and its mean says how far the margin is off.
+The last table is for the detector's card: how far the box bias of a place differs from the ruler's, which no number of
+boxes of that place can show. It is the scatter of the errors with the country's own fleet beyond sampling, fleet and
+geometry, by maximum likelihood, with each place left out in turn. `common_sd` of the card should equal it (it includes
+`bias_sd`); the mean says how far the margin is off.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.simulate import table  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-CHOSEN_WITH = ("manila", "banepa", "sheffield", "brighton")  # scenes that choices of version 5 were made with in view
+CHOSEN_WITH = ("manila", "banepa", "sheffield", "brighton")  # scenes with which choices of version 5 were made
 FLEETS = ("own", "world")
-# Chips that show vehicles; 256 px at a foot a pixel, a few are a pixel or two smaller.
+# Chips that show vehicles; 256 px at one foot per pixel, a few are a pixel or two smaller.
 CHIPS = ("parkinglot", "denseresidential", "freeway", "intersection", "overpass", "mobilehomepark", "buildings")
 CHIP, CHIP_GSD = 256, 0.3048
 ACROSS, DOWN = 4, 3  # chips of a montage
-FEWEST = 3  # places from which the card's margin can be told, each left out in turn
+FEWEST = 3  # places needed for the card's margin with each left out in turn
 
 
 @dataclass(frozen=True)
 class Scene:
-    """path : of a picture or a model. country : ISO code. truth : metres per pixel or model unit."""
+    """path : of a picture or a model. country : ISO code. truth : metres per pixel, or per model unit."""
 
     path: Path
     country: str
@@ -63,12 +63,12 @@ class Scene:
 
     @property
     def options(self) -> dict[str, bool]:
-        """Without the GPS positions of frames: the truth of most reconstructions is theirs."""
+        """Options of `estimate`: without the frames' GPS positions, which are the truth of most reconstructions."""
         return {"gps": False} if self.path.is_dir() else {}
 
 
 def scenes() -> list[Scene]:
-    """All that there are, those that nothing was chosen with first."""
+    """All scenes, those with which nothing was chosen first."""
     found = []
     for folder in ("places", "orthophotos"):
         known = json.loads((DATA / folder / "truth.json").read_text())
@@ -80,7 +80,8 @@ def scenes() -> list[Scene]:
 
 
 def called(every: list[Scene], names: str) -> list[Scene]:
-    """Those of the comma-separated `names`, all for none. Ends the program where there is none of a name."""
+    """The scenes with the comma-separated `names`, all without names. Ends the program if there is no scene of a
+    name."""
     asked = set(filter(None, names.split(",")))
     if unknown := asked - {scene.name for scene in every}:
         sys.exit(f"no such scene: {', '.join(sorted(unknown))}; there are {', '.join(scene.name for scene in every)}")
@@ -88,7 +89,7 @@ def called(every: list[Scene], names: str) -> list[Scene]:
 
 
 def quarters(some: list[Scene], folder: Path) -> list[Scene]:
-    """The four quarters of each orthophoto, as files in `folder`, without georeferencing."""
+    """The four quarters of each orthophoto as files in `folder`, without georeferencing."""
     parts = []
     for scene in some:
         if scene.path.is_dir():
@@ -104,7 +105,7 @@ def quarters(some: list[Scene], folder: Path) -> list[Scene]:
 
 
 def of_chips(folder: Path) -> list[Scene]:
-    """Montages of twelve chips each as files in `folder`, of one kind and in the order of their numbers."""
+    """Montages of twelve chips of one kind each, in the order of their numbers, as files in `folder`."""
     places = []
     for kind in CHIPS:
         files = sorted((DATA / "vehicles" / "chips").glob(f"{kind}[0-9]*"))
@@ -123,8 +124,8 @@ def unanswered(error: OrthoscaleError) -> str:
 
 
 def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float, float] | str:
-    """Relative error of the scale and of both ends of its 90 % interval, and one sigma of it without the margin's part;
-    or why there is none."""
+    """Relative error of the scale and of both ends of its 90 % interval, and its one sigma without the margin's part;
+    or why there is no scale."""
     try:
         result = orthoscale.estimate(scene.path, fleet=fleet, detections=boxes, **scene.options)
         result.require_useful()
@@ -136,7 +137,8 @@ def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float
 
 
 def of_places(error: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation of places' box bias, from errors (N,) [log] with one sigma (N,) of other causes."""
+    """Mean and standard deviation over places of the box bias, from errors (N,) [log] with one sigma (N,) of other
+    causes."""
 
     def cost(unknown: np.ndarray) -> float:
         variance = sd**2 + unknown[1] ** 2
@@ -147,7 +149,8 @@ def of_places(error: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
 
 
 def margins(own: dict[str, tuple[float, float]]) -> str:
-    """What a card should say of the margin, each of the places `own` (log error, sigma without margin) left out."""
+    """The figures of the margin for a card, with each of the places `own` (log error, sigma without margin) left
+    out."""
     error, sd = map(np.array, zip(*own.values(), strict=True))
     rows, hits = [], 0
     for k, name in enumerate(own):

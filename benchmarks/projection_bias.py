@@ -1,8 +1,9 @@
-"""How far off each projection is, on simulated boxes of known vehicles: ``python benchmarks/projection_bias.py``.
+"""The error of each projection, on simulated boxes of known vehicles: ``python benchmarks/projection_bias.py``.
 
-Everything is noise-free, so what is left is the model's own error. Each model is told the vehicle's length and width;
+Everything is noise-free, so what is left is the model's own error. Each model is given the vehicle's length and width;
 the decoupled ones and the cuboid also how high the boxes reach. A cell is the mean and the standard deviation over
-boxes of ``log(scale / truth)`` in percent: the bias that pooling keeps, and the spread that it averages away.
+boxes of ``log(scale / truth)`` in percent: the bias that remains after pooling, and the spread that pooling averages
+out.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from orthoscale.core.projection.exact import Hull
 from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, SeenBoxes
 from orthoscale.core.projection.view import Views
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import (  # noqa: E402
     DENSEUAV,
@@ -40,7 +41,7 @@ from support.simulate import (  # noqa: E402
 )  # fmt: skip
 
 VEHICLES = 2000
-# Exact's hull is in metres, so it is measured with again; a round leaves up to half the error, at -30 degrees.
+# The hull of `exact` is in metres, so measuring is iterated; a round leaves up to half the error, at -30 degrees.
 ROUNDS = 12
 VARIANTS = {"naive": decoupled.NAIVE, "text": decoupled.TEXT, "program": decoupled.PROGRAM}
 METHODS = (*VARIANTS, "exact")
@@ -52,7 +53,7 @@ ASSUMED = {
     "car, boxes reach the roof, 1.5 m": (Body.of("", Hull(height=1.5), CAR), Hull(height=1.5)),
     "cuboid 1.6 m": (Body.of("", cuboid(1.6), CAR), cuboid(1.6)),
 }
-OTHERS = {  # none of them known to exact
+OTHERS = {  # bodies that `exact` does not assume
     "saloon": Body.of("", Hull(1.45, belt=0.8, roof=1.45, front_inset=0.36, rear_inset=0.2, side_inset=0.13), CAR),
     "SUV": Body.of("", Hull(1.7, belt=1.0, roof=1.7, front_inset=0.26, rear_inset=0.06, side_inset=0.08), (4.7, 1.9)),
     "van": Body.of("", Hull(2.0, belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06), (5.3, 2.0)),
@@ -61,7 +62,7 @@ OTHERS = {  # none of them known to exact
 
 
 def scales(seen: Seen, views: Views, body: Body, method: str, hull: Hull) -> np.ndarray:
-    """(N,) metres per unit by each box; `exact` starts from a tenth off and settles as it does in the pipeline."""
+    """(N,) metres per unit by each box; `exact` starts a tenth off and converges as in the program."""
     if method != "exact":
         return decoupled.paper_scale(seen.boxes, views, (*body.size, body.height), VARIANTS[method])
     metres_per_unit = 1.1 * UNIT
@@ -92,7 +93,7 @@ def bias(flight: Flight, tight: bool = False) -> str:
 
 
 def other_bodies(flight: Flight, vehicles: int = 100) -> str:
-    """Exact with the hull that the views themselves give, on boxes of hulls and meshes that it does not assume."""
+    """`exact` with the ruler found from the views themselves, on boxes of hulls and meshes that it does not assume."""
     rows = []
     whole = {f"{name}, hull": body for name, body in OTHERS.items()}
     whole |= {f"{shape}, mesh": car_mesh(shape) for shape in MESHES}
@@ -118,7 +119,7 @@ def other_bodies(flight: Flight, vehicles: int = 100) -> str:
 
 
 def sensitivity(flight: Flight) -> str:
-    """Percent by which the altitude and the footprint change when the camera is not what it is taken for.
+    """Percent by which the altitude and the footprint change when pitch or focal length is wrong.
 
     Both follow from the scale in units of the altitude: footprint ~ altitude / (f |sin pitch|).
     """

@@ -1,7 +1,7 @@
 """Each projection and each estimator on real scenes of known scale: ``python benchmarks/real_scenes.py [BOXES]``.
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, the detector runs once and
-its boxes are kept there, so that every row and every later run measures the same boxes.
+its boxes are kept there for later runs.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 import orthoscale
 from orthoscale.requests import ESTIMATORS, PROJECTIONS
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.simulate import table  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-SCENES = {  # and the fleet of the country
+SCENES = {  # with the fleet of their country
     "reconstructions/sheffield": "US",
     "reconstructions/brighton": "US",
     "orthophotos/manila.tif": "PH",
@@ -31,15 +31,15 @@ SCENES = {  # and the fleet of the country
 
 
 def truth(scene: str) -> float:
-    """Metres per unit."""
+    """True metres per pixel, or per model unit."""
     path = DATA / scene
     known = json.loads((path / "truth.json" if path.is_dir() else path.with_name("truth.json")).read_text())
     return float(known["metres_per_model_unit"] if path.is_dir() else known[path.name]["gsd_m"])
 
 
 def row(scene: str, boxes: Path, fleet: str, **options: str) -> list[str]:
-    """One way of measuring one scene."""
-    # The truth of most reconstructions is that of their frames' GPS positions; the paper's estimator takes none.
+    """A row for one way of measuring one scene."""
+    # GPS positions of frames are the truth of most reconstructions; the paper's estimator does not take them.
     without = {"gps": False} if (DATA / scene).is_dir() and options.get("estimator") != "iqr" else {}
     result = orthoscale.estimate(DATA / scene, fleet=fleet, detections=boxes, **without, **options)
     low, high = (end / truth(scene) - 1 for end in result.scale.interval90)

@@ -1,7 +1,7 @@
 """Real reconstructions, each method on the same boxes: ``python benchmarks/reconstructions.py [DATA] [BOXES]``.
 
-DATA is the folder of the real data (see CONTRIBUTING.md), BOXES one with ``SCENE.json`` files that
-``orthoscale estimate --save-detections`` wrote; without it the detector runs. Prints Markdown.
+DATA is the folder of the real data (see CONTRIBUTING.md). BOXES is a folder with files ``SCENE.json`` from ``orthoscale
+estimate --save-detections``; without it the detector runs. Prints Markdown.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ COURT = ("DJI_0074.jpg", [(418.0, 377.6), (598.0, 387.8), (601.3, 475.3), (413.8
 
 
 def by_the_paper(result: Result, source) -> dict[str, float]:
-    """Metres per unit by each variant of the decoupled model and the paper's pooling, boxes and priors as there."""
+    """Metres per unit by each variant of the decoupled model with the paper's pooling, and the priors of paper or
+    fleet."""
     names, boxes = result.picture, result.boxes
     order = np.argsort(names, kind="stable")
     views = Views.concatenate([source.views(n, boxes[names == n].centre)[0] for n in np.unique(names)])
@@ -43,7 +44,7 @@ def by_the_paper(result: Result, source) -> dict[str, float]:
 
 
 def court(source, scale: float) -> str:
-    """The tennis court, measured on the model's ground."""
+    """The size of the tennis court, measured on the model's ground."""
     name, corners, size = COURT
     place = source.views(name, np.array(corners))[1] * scale
     sides = np.linalg.norm(place - np.roll(place, -1, 0), axis=1)

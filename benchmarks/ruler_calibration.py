@@ -1,7 +1,7 @@
 """Does a reconstruction find its own ruler? ``python benchmarks/ruler_calibration.py``
 
-Simulated flights over parked vehicles, whose boxes enclose a known height and exceed that by a known margin. The
-detector's card says something else; the views must find both, and the scale must not suffer.
+Simulated flights over parked vehicles, whose boxes have a known effective height and margin. The detector's card has
+other values; self-calibration must find the true ones, and the scale must not suffer.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from orthoscale.core.projection.own_ruler import HEIGHT, MARGIN, UNDERCUT
 from orthoscale.fleets import load_fleet
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
 from support.ruler_flights import find, fly  # noqa: E402
 from support.simulate import table  # noqa: E402
 
 HEIGHTS, MARGINS = (0.5, 0.8, 1.2, 1.6), (0.0, 2.0, 4.0)
-UNDERCUTS = ((0.9, 2.0, 0.15), (0.9, 2.0, 0.3), (1.3, 2.0, 0.3))  # of some more, with their height and margin [m]
+UNDERCUTS = ((0.9, 2.0, 0.15), (0.9, 2.0, 0.3), (1.3, 2.0, 0.3))  # more cases: height [m], margin [px], undercut [m]
 FLIGHTS = 6
 
 

@@ -1,10 +1,10 @@
-"""How far does the answer wander with a few vehicles more or less, and how far does it claim to?
+"""How much does the scale change with a few vehicles more or fewer, and how much does it claim to?
 
     python benchmarks/stability.py [--places 10] [--fleets US DE ...] [--vehicles 12 40 100 300]   # minutes
 
-Simulated places whose vehicles are not quite those of the tables: every class's mean is off by 2 % and its spread by
-15 % (one sigma), up to a fifth are vans of any size, up to 8 % of the boxes are no vehicles. Each is pooled as it is,
-with its vehicles drawn again (with replacement), and with a twentieth of them left out. The ruler is the measurer's.
+Simulated places whose vehicles are not quite those of the tables: every class's mean is off by 2 % and its spread by 15
+% (one sigma), up to a fifth are vans of any size, up to 8 % of the boxes are not vehicles. Each place is pooled as it
+is, with its vehicles resampled with replacement, and with a twentieth of them left out. The ruler is the measurer's.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ FLEETS = ("US", "DE", "NL", "JP", "PH", "CN", "NP", "UG")
 VEHICLES = (12, 40, 100, 300)
 GSDS = (0.06, 0.12, 0.30)  # [m/px]
 RULER = Ruler(margin=(0.43, -0.12), margin_sd=(0.15, 0.15), bias_sd=(0.018, 0.044), common_sd=0.01, noise=(1.0, 0.7))
-VANS, FALSE = (0.0, 0.03, 0.08, 0.2), (0.0, 0.02, 0.08)  # shares, one of each at a place
-REDRAWN = 2  # times each
+VANS, FALSE = (0.0, 0.03, 0.08, 0.2), (0.0, 0.02, 0.08)  # shares, of which each place draws one
+REDRAWN = 2  # resamplings of each place
 
 
 def scene(rng: np.random.Generator, fleet: Fleet, n: int, gsd: float) -> Votes:
@@ -58,13 +58,13 @@ def scene(rng: np.random.Generator, fleet: Fleet, n: int, gsd: float) -> Votes:
 
 
 def some_of(votes: Votes, index: np.ndarray) -> Votes:
-    """The votes `index`."""
+    """The votes at `index`, which may repeat."""
     values = {name: getattr(votes, name)[index] for name in ("size", "pixel", "views", "place", "score", "sigma")}
     return replace(votes, **values, members=[votes.members[k] for k in index])
 
 
 def row(fleets: Sequence[str], n: int, places: int) -> list[str]:
-    """Of all places with `n` boxes: errors, claims, and how far the answer wanders."""
+    """The row of all places with `n` boxes: errors, claimed errors, and how much the scale changes."""
     found, moves = [], {"again": list[float](), "fewer": list[float]()}
     for code in fleets:
         fleet = load_fleet(code)

@@ -20,7 +20,7 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def imported(name: str, tree: ast.Module, is_package: bool, names: set[str]) -> set[str]:
-    """The modules of `names` that the module `name` imports, in functions and for type checkers too."""
+    """The modules of `names` that the module `name` imports, including imports in functions and for type checkers."""
     here = name.split(".") if is_package else name.split(".")[:-1]
     found = set()
     for node in ast.walk(tree):
@@ -34,7 +34,7 @@ def imported(name: str, tree: ast.Module, is_package: bool, names: set[str]) -> 
 
 
 def circles(trees: dict[str, tuple[ast.Module, bool]]) -> list[int]:
-    """Sizes of the sets of modules that import one another, the largest first."""
+    """Sizes of the groups of modules that import one another in circles, the largest first."""
     names = list(trees)
     edges = [(names.index(a), names.index(b)) for a in names for b in imported(a, *trees[a], set(names))]
     rows, columns = np.array(edges).T
@@ -44,7 +44,7 @@ def circles(trees: dict[str, tuple[ast.Module, bool]]) -> list[int]:
 
 
 def public(body: list[ast.stmt]) -> list[ast.AST]:
-    """Public functions and classes, and the public members of these classes that a protocol does not only declare."""
+    """Public functions and classes, and the public members of these classes, without mere declarations of protocols."""
     found: list[ast.AST] = []
     for node in body:
         if isinstance(node, (*FUNCTIONS, ast.ClassDef)) and not node.name.startswith("_"):

@@ -1,16 +1,16 @@
-"""Does the search find the right zoom, and is a scale that it gives never that of something else?
+"""Does the scale search find the right zoom, and does it never give the scale of something else than vehicles?
 
     python benchmarks/zoom_search.py copies --keep copies.jsonl   # real pictures, 0.5 to 4 times as large: 10 minutes
     python benchmarks/zoom_search.py towns --keep towns.jsonl     # 200 rendered towns full of look-alikes: half an hour
 
-`copies`: the pictures of ``../shared/data`` (or ``ORTHOSCALE_DATA``) reduced by area and enlarged by cubic splines,
-each measured with its country's fleet as if nothing were known of its pixel size. `towns`: towns of solar roofs, boats,
-graves, garages, containers and other things in rows (`orthoscale.synthetic`, style ``lookalikes``), seeded, of four
+`copies`: the pictures of ``../shared/data`` (or ``ORTHOSCALE_DATA``), shrunk by area averaging or enlarged by cubic
+splines, each measured with its country's fleet as if its pixel size were unknown. `towns`: seeded towns of solar roofs,
+boats, graves, garages, containers and other things in rows (`orthoscale.synthetic`, style ``lookalikes``), of four
 fleets, at 0.05 to 0.2 m/px, with 12 to 80 vehicles.
 
-Wrong is a scale that is given (`Scale.require_useful`) and off by more than OFF: a country's vehicles are never that
-far from the place's, other things than vehicles or another zoom are. --keep FILE has a line of JSON for each; what it
-has is not measured again.
+A scale is wrong if it is given (`Scale.require_useful`) and off by more than OFF: the vehicles of a place never differ
+so much from their country's, but other things than vehicles, or another zoom, do. --keep FILE has a line of JSON for
+each picture; those in it are not measured again.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PIXELS = 1400  # along the side of a town
 
 
 def measured(path: Path, fleet: str, truth: float) -> dict[str, float | str]:
-    """Error of the scale and of both ends of its interval, or why there is none."""
+    """Error of the scale and of both ends of its interval, or why there is no scale."""
     try:
         result = orthoscale.estimate(path, fleet=fleet)
         result.require_useful()
@@ -58,7 +58,7 @@ def measured(path: Path, fleet: str, truth: float) -> dict[str, float | str]:
 
 
 def copies(scratch: Path) -> Iterator[tuple[dict[str, object], Callable[[], dict[str, float | str]]]]:
-    """What each run is, and the run."""
+    """The description of each run, and a function that runs it."""
     for scene in places.scenes():
         if scene.path.is_dir():
             continue
@@ -68,7 +68,7 @@ def copies(scratch: Path) -> Iterator[tuple[dict[str, object], Callable[[], dict
                 pixels = cv2.imread(str(scene.path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
                 way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
                 size = (round(pixels.shape[1] * factor), round(pixels.shape[0] * factor))
-                copy = scratch / f"{scene.name}.png"  # without anything that says where it lies
+                copy = scratch / f"{scene.name}.png"  # without georeferencing
                 cv2.imwrite(str(copy), cv2.resize(pixels, size, interpolation=way))
                 return measured(copy, scene.country, scene.truth / factor)
 

@@ -1,1 +1,2 @@
-"""Finders of anchors, objects of standard size, one file a kind: painted courts, lane dashes, crossings, bays."""
+"""Finders of anchors, objects of standard size, by kind: painted courts, lane dashes, crossings, parking bays and
+others."""

@@ -17,12 +17,12 @@ from .rules import ruled, sizes, within_reach
 from .strokes import Strokes, find_strokes, paint_light, painted
 
 FOOT = 0.3048  # [m]
-BAY_BUILT = 0.013  # one sigma of a row's mean pitch about its feet: American lots, 2.55 to 2.64 m and 2.69 to 2.78 m
-BAY_PLACE_SD = 0.05  # of one place's bays about its country's mean, beside what the table says [m]
+BAY_BUILT = 0.013  # relative 1 sigma of a row's mean pitch about its rule; American lots: 2.55 to 2.64, 2.69 to 2.78 m
+BAY_PLACE_SD = 0.05  # [m] one sigma of a place's bays about its country's mean, added to that of the table
 
-# Of 21 American city and county codes, met by asking for stall dimensions but no width, 19 ask for 9 ft and two for
-# 8.5 (seen 2026: amlegal.com, ecode360.com, elaws.us); two more ask for 10 ft. That is what codes ask at least, and
-# older lots have what theirs asked: a third is left to other widths.
+# Of 21 American city and county codes, found by a search for stall dimensions without a width, 19 require 9 ft and two
+# 8.5 ft (seen 2026: amlegal.com, ecode360.com, elaws.us); two more require 10 ft. Codes give minimum widths, and older
+# lots follow older codes: a third is left to other widths.
 SHARES = {8.5: 0.2, 9.0: 0.65, 9.5: 0.05, 10.0: 0.1}
 IN_FEET = tuple(
     Standard(
@@ -37,33 +37,34 @@ IN_FEET = tuple(
     for feet, share in SHARES.items()
 )
 
-BAY_FALSE = 0.03  # none of 37 rows on 62 Mpx of American chips was something else; one more is reckoned
-# The same where the country is not known, and so the scale only roughly: where finders were told 0.8 of the true scale,
-# 2 of 29 rows on chips, eight orthophotos and training frames were no bays of cars (boats, bays of coaches).
+BAY_FALSE = 0.03  # of 37 rows on 62 Mpx of American chips none was false; one false row is assumed
+# The same where the country, and so the scale, is less well known: with 0.8 times the true scale given to the finders,
+# 2 of 29 rows on chips, eight orthophotos and training frames were not car bays (boats, bays of coaches).
 BAY_FALSE_ROUGH = 0.1
 
-BAY_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
-BAY_THINNEST = 0.8  # of that smoothing [px]
-BAY_SHORTEST, BAY_LONGEST = 2.2, 13.0  # of lines [m]: part of one under a vehicle, and two rows nose to nose
+BAY_LINE_SIGMA = 0.09  # [m] one sigma of the ridge filter: lines are 0.10 to 0.15 m wide
+BAY_THINNEST = 0.8  # [px] least value of that sigma
+BAY_SHORTEST, BAY_LONGEST = 2.2, 13.0  # [m] line lengths: partly under a vehicle; shared by two rows nose to nose
 BAY_FEWEST = 6  # lines
-# [m] and [px] from line to line of double ones, as hairpins: 16 in in Thousand Oaks CA (sec. 9-4.2404, amlegal.com)
+# [m] and [px] between the two lines of double ones (hairpins): 16 in in Thousand Oaks CA (sec. 9-4.2404, amlegal.com)
 DOUBLE_LEAST, DOUBLE_MOST, DOUBLE_LEAST_PX = 0.25, 0.75, 1.5
-DOUBLE_UNEVEN = 0.15  # of that: one sigma in one row
-BAY_REGULAR = 4.5  # natural logarithm of how much likelier such a row is as one than by chance
-BAY_FILLED = 0.7  # of the places taken
-BAY_UNEVEN = 0.35  # of their length: one sigma of the lines' lengths
-BAY_CROWDED = 0.15  # of the bays with a line through their middle
-BAY_ASKEW = 0.3  # of their length: how far lines are shifted along themselves, rms; vehicles hide ends
-BAY_FANNED = np.sin(np.radians(6))  # at most from the first line to the last: rows in a bend have no pitch
-BAY_AMONG = 0.7  # of the mean curvature around: vehicles' edges are stronger than lines
-BAY_SAME_GROUND = 0.5  # of the contrast, by which the ground past one end may differ from that beside: the aisle
-BAY_CONTRAST = 8.0  # grey levels between lines and the ground beside them
-BAY_ASIDE, BAY_PAST = 0.45, 1.2  # of the lines and of their ends, where that ground is seen [m]
+DOUBLE_UNEVEN = 0.15  # of that distance: most it may scatter within a row, one sigma
+BAY_REGULAR = 4.5  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
+BAY_FILLED = 0.7  # least share of the row's places that have a line
+BAY_UNEVEN = 0.35  # of the median length: most that the lengths may scatter, one sigma
+BAY_CROWDED = 0.15  # most bays that may have a line through their middle, as a share
+BAY_ASKEW = 0.3  # of their length: most that lines may be shifted along themselves, rms; vehicles hide ends
+BAY_FANNED = np.sin(np.radians(6))  # sine of the most that lines may turn along the row: rows in a bend have no pitch
+BAY_AMONG = 0.7  # least curvature, as a share of the mean around: vehicles' edges are stronger than lines
+BAY_SAME_GROUND = 0.5  # of the contrast: most that the ground past one end (the aisle) may differ from that beside
+BAY_CONTRAST = 8.0  # [grey levels] least contrast of lines to the ground beside them
+BAY_ASIDE, BAY_PAST = 0.45, 1.2  # [m] from the lines and from their ends to where that ground is sampled
 
 
 @cache
 def bay_standards() -> tuple[Standard, ...]:
-    """Those in feet, and the table's of the other countries; the world's is everywhere's."""
+    """The American standards in feet, and those of the table for other countries; the table's world entry applies
+    everywhere."""
     rows = [
         Standard(
             f"bays of {row['width']:.2f} m",
@@ -91,7 +92,7 @@ class ParkingBays:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        # Where the country is not known, all countries' bays are kept, so that it can be told whose they suit.
+        # Without a known country the standards of all countries are kept, so that it can be seen later which fit.
         rough = not country and not ruled(self.standards, country)
         standards = self.standards if rough else holding(self.standards, country)
         if min(image.shape[:2]) < BAY_SHORTEST / gsd:
@@ -111,8 +112,8 @@ class ParkingBays:
 
 
 def _rows(strokes: Strokes, low: float, high: float, gsd: float) -> Iterator[Ladder]:
-    """Rows of double lines, and of single ones: of a row of double ones, some left and some right lines make a row of
-    another pitch."""
+    """Rows of double lines, then rows of single lines that share none with them: within a row of double lines, some
+    left and some right lines make a false row of another pitch."""
     doubles = doubled(strokes, max(DOUBLE_LEAST / gsd, DOUBLE_LEAST_PX), DOUBLE_MOST / gsd)
     rows = [row for row in find_ladders(doubles, low, high, BAY_FEWEST) if _evenly_double(row)]
     yield from rows

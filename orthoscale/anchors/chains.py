@@ -10,31 +10,32 @@ import numpy as np
 from .periods import Row, find_row
 from .strokes import Strokes, linked, near_pairs, values
 
-IN_LANE = np.radians(4)  # of a stroke's own direction, the next lies within
-LANE_TURN = np.radians(8)  # from one stroke to the next, lanes bend no more
-UNLIKE_DASHES = 1.5  # ratio of lengths of neighbours
-LINKED = 3.1  # periods: two dashes under vehicles are missing
+IN_LANE = np.radians(4)  # the next stroke lies within this angle of a stroke's own direction
+LANE_TURN = np.radians(8)  # most that a lane bends from one stroke to the next
+UNLIKE_DASHES = 1.5  # largest ratio of lengths of neighbours
+LINKED = 3.1  # periods over which strokes are linked: two dashes may be hidden by vehicles
 
 
 @dataclass(frozen=True)
 class Chain:
-    """strokes : (M,) those of one chain in order. row : their places along it, corners counted along the chords."""
+    """strokes : (M,) the strokes in order. row : their positions along the chain, by the chords between their
+    centres."""
 
     strokes: Strokes
     row: Row
 
     @property
     def length(self) -> float:
-        """Of its strokes [px]."""
+        """Median length of its strokes [px]."""
         return float(np.median(self.strokes.length))
 
     @property
     def relative_sd(self) -> float:
-        """One sigma of the period, of the fit."""
+        """Relative one sigma of the period, from the fit."""
         return self.row.sd / self.row.period
 
     def lines(self) -> np.ndarray:
-        """(M, 2, 2) the strokes at their fitted places, each as long as their median, from end to end [px]."""
+        """(M, 2, 2) the strokes from end to end at their fitted places, all of the median length [px]."""
         along = _forward(self.strokes)
         centre = self.strokes.centre - self.row.residual[:, None] * along
         return np.stack([centre - along * self.length / 2, centre + along * self.length / 2], 1)
@@ -56,13 +57,13 @@ def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Itera
 
 
 def _paths(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
-    """Strokes in line, each linked to the nearest before and behind it; at least `fewest`."""
+    """Groups of at least `fewest` strokes in line, each linked to the nearest ahead of it and behind it."""
     parts = [_in_line(strokes, i, j, low) for i, j in near_pairs(strokes, LINKED * high, LANE_TURN, IN_LANE)]
     i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
     i, j = np.concatenate([i, j]), np.concatenate([j, i])
     apart = strokes.centre[j] - strokes.centre[i]
     distance = np.linalg.norm(apart, axis=1)
-    # Of all that lie before, or behind, a stroke the nearest: a link is one on which both ends agree.
+    # The nearest stroke ahead of, and behind, each stroke. Two are linked if each is the other's nearest.
     side = ((apart * strokes.along[i]).sum(1) > 0).astype(int)
     nearest = np.full((len(strokes), 2), -1)
     order = np.argsort(-distance)  # the nearest is written last
@@ -72,7 +73,7 @@ def _paths(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.nd
 
 
 def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the pairs (i, j) those that can be of one line: alike, one behind the other, and not too near."""
+    """The pairs (i, j) that can belong to one line: alike, one behind the other, and not too near."""
     apart = strokes.centre[j] - strokes.centre[i]
     distance = np.linalg.norm(apart, axis=1)
     unit = apart / np.maximum(distance, 1e-9)[:, None]
@@ -86,7 +87,7 @@ def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tupl
 
 
 def _in_order(strokes: Strokes, group: np.ndarray) -> np.ndarray:
-    """`group` along its longest extent: lanes bend, but do not turn back within a chain."""
+    """`group` sorted along its longest extent: lanes bend, but do not turn back within a chain."""
     off = strokes.centre[group] - strokes.centre[group].mean(0)
     return group[np.argsort(off @ np.linalg.svd(off, full_matrices=False)[2][0])]
 
@@ -100,8 +101,8 @@ def _forward(strokes: Strokes) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ChainLevels:
-    """Colours on and around a chain, medians over each stroke. paint : (M, 3) on the strokes. gap : (M - 1, 3) on the
-    line between neighbours. side : (2, M, 3) beside the strokes, left and right."""
+    """Colours on and around a chain, the median along each stroke. paint : (M, 3) on the strokes. gap : (M - 1, 3) on
+    the line between neighbours. side : (2, M, 3) beside the strokes, left and right."""
 
     paint: np.ndarray
     gap: np.ndarray
@@ -109,7 +110,7 @@ class ChainLevels:
 
 
 def levels(image: np.ndarray, chain: Chain, aside: float) -> ChainLevels:
-    """Of RGB uint8 `image`; `aside` : how far beside the strokes [px]."""
+    """Colours of RGB uint8 `image` on and around `chain`. aside : how far beside the strokes [px]."""
     lines = chain.lines()
     along = _forward(chain.strokes)
     across = np.stack([-along[:, 1], along[:, 0]], -1)

@@ -13,19 +13,19 @@ from .peaks import circle_votes, peak_shift
 from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, DIRECTIONS
 
-VOTING = 0.3  # of a clear ridge, from which on a pixel votes
-BIN = 2  # [px] side of a cell of middles
-RADII_APART = 1.5  # [px]
-CIRCLE_SEEN = 0.3  # of the circumference, of cells about a middle
-MIDDLE_LINE = 0.3  # mean ridge of the line through the middle
-CIRCLES = 60  # per megapixel, the clearest; at least:
+VOTING = 0.3  # of a clear ridge: least ridge of a pixel that votes
+BIN = 2  # [px] side of an accumulator cell
+RADII_APART = 1.5  # [px] step between the radii that are tried
+CIRCLE_SEEN = 0.3  # of the circumference: least votes for the 3 x 3 cells about a centre
+MIDDLE_LINE = 0.3  # least mean ridge of the line through the centre
+CIRCLES = 60  # clearest ones kept per megapixel, but never fewer than:
 FEWEST_CIRCLES = 8
 TURNS = 120  # directions of the line that are tried
 
 
 def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
-    """Where `court`, a circle and a line along it through its middle, may lie if a metre is `size` [px] within a factor
-    exp(spread); the clearest first."""
+    """Candidate poses of `court` (a circle and a line along the court through its centre), clearest first. A metre is
+    `size` [px] to within a factor exp(spread)."""
     radius = max(stroke.radius for stroke in court.strokes)
     reach = max(stroke.length for stroke in court.strokes if not stroke.radius) / 2
     x, y, normal = _voters(ridges)
@@ -56,7 +56,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
 
 
 def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels on ridges, x and y (N,), and the direction across them (N,) [rad]."""
+    """Pixels on ridges, x and y (N,), and the direction across the ridges (N,) [rad]."""
     best = ridges.maps.argmax(0)
     y, x = np.nonzero(ridges.maps.max(0) >= VOTING * CLEAR_RIDGE)
     k = best[y, x]
@@ -65,8 +65,8 @@ def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
-    share of the circumference."""
+    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a centre in each cell or a cell next to it, as
+    a share of the circumference."""
     cells = circle_votes((x, y), (np.cos(normal), np.sin(normal)), radius, shape, BIN)
     about = cv2.boxFilter(cells, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return about / np.float32(2 * np.pi * radius)

@@ -16,33 +16,33 @@ from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, segments, steered
 from .strokes import values
 
-LINE_SEED = 0.3  # least mean ridge of a piece of a line
+LINE_SEED = 0.3  # least mean ridge of a seed, a short straight piece of a line
 LINES_PARALLEL = np.radians(4)
-BESIDE_SEED = 4  # parallel pieces beside one that is a start
-MOST_STARTS, LEAST_STARTS = 150, 20  # per megapixel, and at least
-LINE_SD_PX = 0.75, 1.2  # [px] of the ridge filter across, at least and at most; else half of what a line is wide
-LINE_LEAST = 0.1  # [grey levels] ridge of a line in a cross section ...
-LINE_CLEAR = 0.4  # ... and as a share of that of the weakest of the fewest that there must be
-LINE_KEPT = 0.3  # of the strength of the first block's lines, that others need
-COMB_FILLED = 0.85  # of the lines
-COMB_REGULAR = 4.0  # natural logarithm of how much likelier such a row is as one than by chance
-BLOCKS_MISSING = 2  # in a row
+BESIDE_SEED = 4  # least number of parallel seeds beside one that is a start
+MOST_STARTS, LEAST_STARTS = 150, 20  # most per megapixel, but never limited to fewer than the second
+LINE_SD_PX = 0.75, 1.2  # [px] limits of the ridge filter's sigma, which is half the width of a line
+LINE_LEAST = 0.1  # [grey levels] least ridge of a line in a cross section ...
+LINE_CLEAR = 0.4  # ... and as a share of the n-th strongest ridge, where n is the fewest lines of a comb
+LINE_KEPT = 0.3  # least strength of the lines of other blocks, as a share of the first block's
+COMB_FILLED = 0.85  # least share of the lines that are seen
+COMB_REGULAR = 4.0  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
+BLOCKS_MISSING = 2  # most in succession
 FEWEST_BLOCKS = 10
 MOST_BLOCKS = 200  # in one direction: once round a running track
-BLOCKS_KEPT = 0.7  # of those that were asked
-COMB_UNEVEN = 0.02  # scatter of the blocks' periods, one sigma
-PITCH_KEPT = 0.06  # relative, by which the pitch of a block may differ from that of the first
-ASTRAY = 0.6  # of the pitch, from one block to the next
-LINE_SIDE = 0.4  # of the pitch, from a line to where the ground beside it is asked
-TRUE_LINE = 0.35  # of what most lines stand out, that each must
-STEPS = 0.6  # of the contrast: how far levels midway between lines change from block to block, one sigma
-CONTRAST = 8.0  # grey levels between lines and ground, less where lines are thinner than half a pixel
+BLOCKS_KEPT = 0.7  # least share of the blocks tried that show the comb, and of its blocks that show a line
+COMB_UNEVEN = 0.02  # largest relative scatter of the blocks' periods, one sigma
+PITCH_KEPT = 0.06  # largest relative difference between the pitch of a block and that of the first
+ASTRAY = 0.6  # of the pitch: largest sideways shift from one block to the next
+LINE_SIDE = 0.4  # of the pitch: from a line to where the ground beside it is sampled
+TRUE_LINE = 0.35  # each line must stand out by this share of the upper quartile of all lines
+STEPS = 0.6  # of the contrast: most that levels midway between lines change from block to block, one sigma
+CONTRAST = 8.0  # [grey levels] least contrast of lines to ground; less where lines are thinner than half a pixel
 
 
 @dataclass(frozen=True)
 class Comb:
-    """What is followed. low, high : of the pitch [px]. fewest, most : lines. block : length of a piece that is measured
-    at once, across : of its cross section to either side, line : width of the paint [px]."""
+    """What to look for. low, high : limits of the pitch [px]. fewest, most : number of lines. block : length of a piece
+    that is measured at once, across : half the width of its cross section, line : width of the paint [px]."""
 
     low: float
     high: float
@@ -55,8 +55,9 @@ class Comb:
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a comb. place : (2,) on the line that is followed [px]. heading : [rad]. row : of all lines about that
-    place, along `across` [px]. strength : of the lines' ridges [grey levels]."""
+    """A piece of a comb. place : (2,) a point on the line that is followed [px]. heading : of the lines [rad]. row :
+    positions of all lines relative to `place`, along `across` [px]. strength : median ridge of the lines [grey
+    levels]."""
 
     place: np.ndarray
     heading: float
@@ -65,20 +66,20 @@ class Block:
 
     @property
     def across(self) -> np.ndarray:
-        """(2,) unit vector."""
+        """(2,) unit vector across the lines."""
         return np.array([-np.sin(self.heading), np.cos(self.heading)])
 
     @property
     def number(self) -> np.ndarray:
-        """(M,) of the lines, counted from the one that is followed."""
+        """(M,) numbers of the lines, counted from the one that is followed."""
         return self.row.number + round(self.row.start / self.row.period)
 
     def lines(self, aside: float = 0.0) -> np.ndarray:
-        """(M, 2) where the lines, or what is so many periods `aside`, cross the middle of the block [px]."""
+        """(M, 2) points where the lines, shifted by `aside` periods, cross the middle of the block [px]."""
         return self.place + (self.row.start + self.row.period * (self.row.number + aside))[:, None] * self.across
 
     def only(self, numbers: np.ndarray, fewest: int) -> Block | None:
-        """Of the lines with these `numbers` alone; None where there are fewer."""
+        """The block with only the lines of these `numbers`; None if fewer than `fewest` are left."""
         kept = np.isin(self.number, numbers)
         if kept.sum() < fewest:
             return None
@@ -88,8 +89,8 @@ class Block:
 
 
 def find_combs(image: np.ndarray, light: np.ndarray, comb: Comb) -> Iterator[list[Block]]:
-    """Combs in RGB uint8 `image` with `light` (H, W) float32, each by its blocks in order: bright lines on ground that
-    is alike along them, at a pitch that they keep."""
+    """Combs in RGB uint8 `image` with `light` (H, W) float32, each as its blocks in order: bright lines at a constant
+    pitch, on ground that is uniform along them."""
     taken = np.zeros((0, 2))
     found: list[list[Block]] = []
     for x, y, angle in _starts(light, comb):
@@ -103,7 +104,7 @@ def find_combs(image: np.ndarray, light: np.ndarray, comb: Comb) -> Iterator[lis
     kept = np.full((1, 2), -1e9)
     for blocks in sorted(found, key=len, reverse=True):
         places = np.concatenate([block.lines() for block in blocks])
-        if np.median(cKDTree(kept).query(places)[0]) > pitch(blocks):  # else part of a longer one
+        if np.median(cKDTree(kept).query(places)[0]) > pitch(blocks):  # otherwise it is part of a longer one
             kept = np.concatenate([kept, places])
             yield blocks
 
@@ -131,7 +132,7 @@ def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, .
 
 
 def _pitches(blocks: Sequence[Block]) -> np.ndarray:
-    """(B,) of the blocks [px], square to the way that the comb goes."""
+    """(B,) pitch of each block, perpendicular to the direction in which the comb runs [px]."""
     place = np.array([block.place for block in blocks])
     step = np.gradient(place, axis=0)
     turn = np.arctan2(step[:, 1], step[:, 0]) - [block.heading for block in blocks]
@@ -139,18 +140,19 @@ def _pitches(blocks: Sequence[Block]) -> np.ndarray:
 
 
 def pitch(blocks: Sequence[Block]) -> float:
-    """Of a comb [px]."""
+    """Median pitch of a comb's blocks [px]."""
     return float(np.median(_pitches(blocks)))
 
 
 def _scatter(period: np.ndarray) -> float:
-    """One sigma of the blocks' periods, as a share."""
+    """Relative one sigma of the blocks' periods, robust."""
     middle = float(np.median(period))
     return ROBUST_SD * float(np.median(np.abs(period - middle))) / middle
 
 
 def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
-    """(N, 3) place [px] and direction [rad] of pieces of lines with others beside, those first that have most."""
+    """(N, 3) place [px] and direction [rad] of pieces of lines with parallel ones beside them, those with most
+    first."""
     seeds = segments(steered(light), LINE_SEED)
     if len(seeds.angle) < comb.fewest:
         return np.zeros((0, 3))
@@ -168,7 +170,7 @@ def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
 
 
 def _followed(light: np.ndarray, start: np.ndarray, angle: float, comb: Comb) -> tuple[list[Block], int]:
-    """The comb about `start` [px], block by block in both ways from there, and how many blocks were asked."""
+    """The comb at `start` [px], followed block by block in both directions, and how many blocks were tried."""
     first = _block(light, start, angle, comb, (comb.low, comb.high), LINE_LEAST)
     if first is None:
         return [], 1
@@ -193,7 +195,7 @@ def _followed(light: np.ndarray, start: np.ndarray, angle: float, comb: Comb) ->
 
 
 def _heading(before: Sequence[Block], now: Block, way: float) -> float:
-    """Direction of the lines at `now` [rad]: the chord from the third block before turns by half of what they do."""
+    """Direction of the lines at `now` [rad]. The chord from three blocks back turns half as much as the lines do."""
     back = before[max(len(before) - 3, 0)]
     chord = (now.place - back.place) * way
     turned = (np.arctan2(chord[1], chord[0]) - back.heading + np.pi / 2) % np.pi - np.pi / 2
@@ -203,8 +205,8 @@ def _heading(before: Sequence[Block], now: Block, way: float) -> float:
 def _block(
     light: np.ndarray, place: np.ndarray, angle: float, comb: Comb, between: tuple[float, float], least: float
 ) -> Block | None:
-    """The lines across the comb at `place` [px], with a pitch `between` two [px], of ridges of `least` [grey levels];
-    None of too few."""
+    """The lines in a cross section of the comb at `place` [px], whose pitch lies `between` two values [px] and whose
+    ridges exceed `least` [grey levels]; None if they are too few."""
     unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     fine = np.arange(-comb.across, comb.across, 0.25)
     t = np.linspace(-0.5, 0.5, max(6, int(comb.block))) * comb.block
@@ -221,7 +223,7 @@ def _block(
     row = find_row(offset, *between, comb.fewest)
     if row is None or row.filled < COMB_FILLED or len(row.number) > comb.most or row.regularity < COMB_REGULAR:
         return None
-    # the line that is followed is the one next to the place
+    # the line to follow is the one nearest to the place
     nearest = float(np.clip(np.round(-row.start / row.period), 0, row.number[-1]))
     shift = row.start + nearest * row.period
     if abs(shift) > ASTRAY * row.period:
@@ -231,8 +233,8 @@ def _block(
 
 
 def ridge_across(profile: np.ndarray, step: float, sd: float) -> np.ndarray:
-    """(N,) ridges of a cross section (N,) sampled every `step` [px], by a second derivative of a Gaussian of `sd` [px]
-    with a unit sum of its size."""
+    """(N,) ridges of a cross section (N,) sampled every `step` [px]. The filter is the second derivative of a Gaussian
+    of `sd` [px], negated; its absolute values sum to 1."""
     reach = np.ceil(4 * sd / step)
     r = np.arange(-reach, reach + 1) * step / sd
     kernel = (1 - r**2) * np.exp(-0.5 * r**2)
@@ -241,8 +243,8 @@ def ridge_across(profile: np.ndarray, step: float, sd: float) -> np.ndarray:
 
 
 def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> list[Block]:
-    """`blocks` with those lines alone that are brighter than what is on either side of them, all along: where lanes end
-    on brighter ground there is an edge, but no line."""
+    """`blocks` with only those lines that are brighter than both their sides all along: where lanes end at brighter
+    ground there is an edge, but no line."""
     if len(blocks) < FEWEST_BLOCKS:
         return []
     number = np.concatenate([block.number for block in blocks])
@@ -260,7 +262,7 @@ def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> li
 
 
 def _is_painted(image: np.ndarray, blocks: Sequence[Block], comb: Comb) -> bool:
-    """Whether the lines keep their pitch, and are brighter than ground that is alike along them."""
+    """Whether the lines keep their pitch and are brighter than the ground, which is uniform along them."""
     if _scatter(np.array([block.row.period for block in blocks])) > COMB_UNEVEN:
         return False
     paint = np.array([np.median(values(image, block.lines()), axis=0) for block in blocks])
@@ -268,5 +270,5 @@ def _is_painted(image: np.ndarray, blocks: Sequence[Block], comb: Comb) -> bool:
     over = np.median(paint, axis=0) - np.median(ground, axis=0)
     contrast = float(over[:2].mean())
     steps = ROBUST_SD * float(np.median(np.abs(np.diff(ground[:, :2].mean(1)))))
-    # white on red gains less in red than in green and blue
+    # white paint on red ground adds less in red than in green and blue
     return contrast > CONTRAST * min(1.0, comb.line / 0.5) and steps < STEPS * contrast and float(over.min()) > 0

@@ -1,9 +1,9 @@
 """ISO containers in rows, by the outlines of their roofs.
 
-A roof is a rectangle of one colour, five times as long as wide, or two and a half times; a single one may be anything.
-But nothing else stands in rows of equal rectangles a hand's breadth apart. Rims beside dark gaps and shadows are off by
-0.1 to 0.3 m, and stacks are nearer to the camera than the ground. These errors are common to all of one place, so the
-spread of the standards is wide.
+A roof is a rectangle of one colour, five times or two and a half times as long as wide. A single rectangle may be
+anything, but nothing else stands in rows of equal rectangles a hand's breadth apart. Next to dark gaps and shadows the
+edges of roofs appear displaced by 0.1 to 0.3 m, and stacks are nearer to the camera than the ground. These errors are
+common to all containers of one place, so the spread of the standards is wide.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach
 from .strokes import values
 
-CONTAINER_WIDTH, DOMESTIC_WIDTH = 2.438, 2.591  # [m] ISO's 8 ft; of longer American ones 102 in
+CONTAINER_WIDTH, DOMESTIC_WIDTH = 2.438, 2.591  # [m] of ISO containers, 8 ft; of longer American ones, 102 in
 LONGEST_ISO = 13.8  # [m]
-CONTAINER_SPREAD = 0.018  # of rims beside gaps and shadows, and of how high stacks are, shared by all of a place
+CONTAINER_SPREAD = 0.018  # relative one sigma: edges beside gaps and shadows, heights of stacks; common to a place
 _SOURCE = "ISO 668: series 1 freight containers, 2.438 m wide; the spread is ours: rims beside gaps, stacks' heights"
 CONTAINERS = (
     Standard("container of 40 ft", 12.192, CONTAINER_SPREAD, _SOURCE, 0.5),
@@ -42,38 +42,38 @@ CONTAINERS = (
 )
 CONTAINER_FALSE = 0.1
 
-FEWEST_CONTAINERS = 3  # of a row
-SEGMENTED = 0.15  # [m/px] at which roofs are told apart, where corrugation is hardly seen; coarser pictures enlarged
+FEWEST_CONTAINERS = 3  # in a row
+SEGMENTED = 0.15  # [m/px] at which roofs are segmented: corrugation hardly shows; coarser pictures are enlarged
 ROOF_EDGES = (3.0, 5.0, 8.0, 13.0, 21.0)  # [grey levels/px] of an edge between roofs: each is tried
-ROUGH_SLACK = 1.22  # factor by which a region's sides may differ from those of a container of the scale told
-ROOF_FULL = 0.8  # of its rectangle
-ASPECT = -0.12, 0.04  # ln of the ratio of sides to that of a standard: part of a gap is taken for roof
-ASPECT_PX = 0.4  # [px] of the width by which these may be wider
-EDGE_SOUGHT, EDGE_SOUGHT_PX = 0.35, 1.5  # [m] and [px] about a rough side where its edge is looked for
-FIRST_EDGE = 0.5  # of the strongest, from which an edge is clear
-END_PARTS, SIDE_PARTS = 3, 8  # of an end and of a side that are measured by themselves
-SIDE_MEASURED = 0.85  # of a side: not its corners
-PART_LINES = 5  # across a part, whose mean is taken
-ACROSS_EDGE = 0.25  # [px] across an edge
+ROUGH_SLACK = 1.22  # factor by which a region's sides may differ from a container's at the given scale
+ROOF_FULL = 0.8  # least share of its bounding rectangle that a region fills
+ASPECT = -0.12, 0.04  # limits of ln(aspect ratio / that of a standard): part of a gap is taken for roof
+ASPECT_PX = 0.4  # [px] error of the width that widens these limits
+EDGE_SOUGHT, EDGE_SOUGHT_PX = 0.35, 1.5  # [m] and [px] on either side of a rough side where its edge is searched
+FIRST_EDGE = 0.5  # of the strongest edge: least strength of a clear one
+END_PARTS, SIDE_PARTS = 3, 8  # number of parts of an end and of a long side that are measured separately
+SIDE_MEASURED = 0.85  # of a side, without its corners
+PART_LINES = 5  # cross sections of a part that are averaged
+ACROSS_EDGE = 0.25  # [px] step of the samples across an edge
 FAINTEST_EDGE = 0.3  # [grey levels] from one step to the next
-FEWEST_PARTS = 8  # of all sides
+FEWEST_PARTS = 8  # in all sides together
 FIT_ROUNDS, ROBUST_ROUNDS = 3, 5
-EDGE_CLEAR = 0.6  # of the parts of each side are within
-EDGE_STRAIGHT, EDGE_STRAIGHT_PX = 0.1, 0.4  # [m] and [px] of the fitted side
-ROW_TURN = np.radians(2.5)  # between neighbours
-ROW_LENGTH = 0.02  # |ln| by which neighbours' lengths differ, and [px]:
+EDGE_CLEAR = 0.6  # least share of each side's parts whose edges lie within ...
+EDGE_STRAIGHT, EDGE_STRAIGHT_PX = 0.1, 0.4  # ... so many [m] and [px] of the fitted side
+ROW_TURN = np.radians(2.5)  # most between neighbours
+ROW_LENGTH = 0.02  # most that neighbours' lengths may differ: |ln| of their ratio, plus [px]:
 ROW_LENGTH_PX = 0.5
 ROW_GAP = -0.1, 0.65  # [m] between neighbours side by side, or end to end
-ROW_SHIFT = 0.5  # [m] by which they may be shifted
-ROOF_EVEN = 16.0  # [grey levels] of one roof's colours, mean over the channels, one sigma
+ROW_SHIFT = 0.5  # [m] by which neighbours may be shifted against each other
+ROOF_EVEN = 16.0  # [grey levels] largest scatter of one roof's colours, one sigma, mean over the channels
 PAINTED_GAP = 6.0  # [grey levels] by which a gap may be brighter than both roofs: else it is a painted line
-LENGTH_PX = 0.25  # [px] one sigma of a roof's length, shared by a row: edges beside others
+LENGTH_PX = 0.25  # [px] one sigma of a roof's length, common to a row: edges lie close to other edges
 
 
 @dataclass(frozen=True)
 class Roofs:
-    """(N,) rectangles. place : (N, 2) [px]. angle : of their length [rad]. length, width : [px]. residual : how far the
-    parts of their sides lie off, root mean square [px]."""
+    """(N,) rectangles. place : (N, 2) centres [px]. angle : of their long sides [rad]. length, width : [px]. residual :
+    root mean square distance of the edges from the fitted sides [px]."""
 
     place: np.ndarray
     angle: np.ndarray
@@ -89,11 +89,11 @@ class Roofs:
 
     @property
     def along(self) -> np.ndarray:
-        """(N, 2) unit vectors."""
+        """(N, 2) unit vectors along the long sides."""
         return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
 
     def corners(self) -> np.ndarray:
-        """(N, 4, 2) [px]."""
+        """(N, 4, 2) corners in order around each roof [px]."""
         along = self.along * self.length[:, None] / 2
         across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
         return self.place[:, None] + np.stack([-along - across, along - across, along + across, across - along], 1)
@@ -171,7 +171,7 @@ def _rough(image: np.ndarray, length: float, width: float, spread: float, gsd: f
             if own[1] > own[0]:
                 own, turn = own[::-1], turn + 90
             place = (np.array([x + left, y + top]) + 0.5) / factor - 0.5
-            rows.append([*place, np.radians(turn), *((own + 2) / zoom)])  # edges take a pixel of either side
+            rows.append([*place, np.radians(turn), *((own + 2) / zoom)])  # edges take a pixel on either side
     found = np.array(rows).reshape(-1, 5)
     fits = (np.abs(np.log(found[:, 3] / length)) < np.log(slack)) & (
         np.abs(np.log(found[:, 4] / width)) < np.log(slack)
@@ -181,19 +181,19 @@ def _rough(image: np.ndarray, length: float, width: float, spread: float, gsd: f
 
 
 def _width(standard: Standard) -> float:
-    """Of its containers [m]."""
+    """Width of the standard's containers [m]."""
     return CONTAINER_WIDTH if standard.metres < LONGEST_ISO else DOMESTIC_WIDTH
 
 
 def _shaped(length: float, width: float, standard: Standard) -> bool:
-    """Whether `length` by `width` [px] is about that of containers of a standard."""
+    """Whether `length` and `width` [px] have about the aspect ratio of containers of a standard."""
     off, slack = np.log(length / width / standard.metres * _width(standard)), ASPECT_PX / width
     return bool(ASPECT[0] - slack < off < ASPECT[1] + slack)
 
 
 def _roofs(colours: np.ndarray, image: np.ndarray, gsd: float, gsd_sd: float, standards: Sequence[Standard]) -> Roofs:
-    """Rectangles of one colour whose four sides lie on straight edges, shaped as containers of some of `standards`; of
-    several in one place the one that fits best."""
+    """Rectangles of one colour whose four sides lie on straight edges, shaped like containers of any of `standards`; of
+    several at one place, the one that fits best."""
     rows = []
     for standard in standards:
         rough = _rough(image, standard.metres / gsd, _width(standard) / gsd, SIGMAS_SEARCHED * gsd_sd, gsd)
@@ -210,7 +210,8 @@ def _roofs(colours: np.ndarray, image: np.ndarray, gsd: float, gsd_sd: float, st
 
 
 def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
-    """(6,) place, angle, length, width and residual of the rectangle on the edges about a rough one, or None."""
+    """(6,) place, angle, length, width and residual of the rectangle fitted to the edges near a rough one; None if none
+    fits."""
     x, y = roof.place[0].tolist()
     angle, length, width = (float(each[0]) for each in (roof.angle, roof.length, roof.width))
     reach = max(EDGE_SOUGHT / gsd, EDGE_SOUGHT_PX)
@@ -221,7 +222,8 @@ def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
         for end, sign in ((True, 1), (False, 1), (True, -1), (False, -1)):
             along = _spots(END_PARTS, width) if end else _spots(SIDE_PARTS, length)
             off.append(_edges(colours, np.array([x, y]), (c, s), (length, width), end, sign, reach / (1 + step)))
-            # how far outwards a part moves with the roof's place along and across, angle, half length and half width
+            # derivatives of a part's outward position by the roof's place along and across, angle, half length, half
+            # width
             one, none = np.ones(len(along)), np.zeros(len(along))
             columns = (
                 [sign * one, none, -sign * along, one, none] if end else [none, sign * one, sign * along, none, one]
@@ -250,7 +252,7 @@ def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
 
 
 def _spots(count: int, length: float) -> np.ndarray:
-    """(count,) evenly along a side of `length`, from its middle, but for its corners."""
+    """(count,) evenly spaced offsets from the middle of a side of `length`, leaving out its corners."""
     return ((np.arange(count) + 0.5) / count - 0.5) * SIDE_MEASURED * length
 
 
@@ -263,8 +265,9 @@ def _edges(
     sign: int,
     reach: float,
 ) -> np.ndarray:
-    """(parts,) how far [px] outside of a side its innermost clear edge lies, as across a gap is the next roof's; nan
-    where there is none within `reach`. end : whether it is a short side; sign : on which side of the middle."""
+    """(parts,) how far [px] outside of a side its innermost clear edge lies; nan where there is none within `reach`.
+    The innermost, because the next roof's edge lies across a gap. end : whether it is a short side; sign : on which
+    side of the middle."""
     (length, width), (c, s), parts = sides, heading, END_PARTS if end else SIDE_PARTS
     out = np.arange(-reach - 1, reach + 1.01, ACROSS_EDGE)
     along = _spots(parts * PART_LINES, width if end else length)
@@ -292,7 +295,7 @@ def _is_one_colour(colours: np.ndarray, x: float, y: float, angle: float, length
 
 
 def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
-    """Numbers of the roofs of each row: equal ones side by side or end to end."""
+    """Indices of the roofs of each row: roofs of equal length, side by side or end to end."""
     if len(roofs) < FEWEST_CONTAINERS:
         return []
     i, j = np.triu_indices(len(roofs), 1)
@@ -319,7 +322,7 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
 
 
 def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:
-    """Whether what is between two roofs is not brighter than both, as a painted line or a joint is."""
+    """Whether the strip between two roofs is not brighter than both of them, as a painted line or a joint would be."""
     share = np.linspace(0, 1, 41)
     along = roofs.along[a]
     middle = roofs.place[a] + share[:, None] * (roofs.place[b] - roofs.place[a])

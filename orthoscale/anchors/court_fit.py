@@ -14,55 +14,59 @@ from .peaks import peak_shift
 
 WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
 LEAST_WINDOW = 1.3  # [px] but never closer than this
-PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
-LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line, to see it ...
-FINE_SD, FINE_BELOW = 0.6, 3.6  # [px] ... and to measure it, where strokes are so near each other
-BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line, as a rule ...
-SHARPEST, BLUNTEST = 0.3, 1.2  # [px] ... and at least and at most
-# A line of size A and a step B, both blurred to a variance v, peak where B sqrt(v) / A = (3 u - u^3) / (1 - u^2), at
-# u sqrt(v) from the line, with a ridge exp(-u^2 / 2) (1 - u^2 + u B sqrt(v) / A) times that of the line alone; a filter
-# of `_kernel`, of variance s, shows that line as 1.033 s A / (v sqrt(2 pi v)).
+PAINT_SD = 0.05  # [m] one sigma of the ridge filter, by the width of the paint ...
+LINE_SD = 0.75  # [px] ... but at least this, by the blur of a camera, where strokes are searched ...
+FINE_SD, FINE_BELOW = 0.6, 3.6  # [px] ... and this where strokes closer than the second are measured
+BLURRED_SD = 0.7  # [px] one sigma of a thin line as blurred by lens and pixels, typically ...
+SHARPEST, BLUNTEST = 0.3, 1.2  # [px] ... and its limits
+# A line of strength A on a step of height B, both blurred to variance v, has its ridge at u sqrt(v) from the line,
+# where B sqrt(v) / A = (3 u - u^3) / (1 - u^2). That ridge is exp(-u^2 / 2) (1 - u^2 + u B sqrt(v) / A) times that of
+# the line alone; the filter of `_kernel`, of variance s, responds to the line with 1.033 s A / (v sqrt(2 pi v)).
 _LEANING = np.linspace(0, 0.9, 91)
 _STEP = (3 * _LEANING - _LEANING**3) / (1 - _LEANING**2)
 _STEP_SEEN = _STEP / (np.exp(-0.5 * _LEANING**2) * (1 - _LEANING**2 + _LEANING * _STEP))
 LINE_SEEN = 1.033 / np.sqrt(2 * np.pi)
-# A line as thin as a pixel is sampled too coarsely to tell its place (aliasing): one along rows or columns is seen
-# nearer to the middles of pixels than it is, by up to a tenth of a pixel. On 61 chips of 0.30, 0.41 and 0.50 m/px
-# ridges go by 0.039, 0.094 and 0.111 px with the sine of the place in a pixel; `_pull` says 0.039, 0.089 and 0.101.
-PHASES = 8  # places of a line in a pixel that its pull is reckoned from
-PULL_REACH = 1.5  # [px] from it, in which its ridge is looked for
+# A line as thin as a pixel is sampled too coarsely to locate it exactly (aliasing): one along rows or columns appears
+# nearer to the centres of pixels than it is, by up to a tenth of a pixel. The shift is a sine of the position within
+# the pixel. On 61 chips of 0.30, 0.41 and 0.50 m/px its amplitude is 0.039, 0.094 and 0.111 px; `_pull` gives 0.039,
+# 0.089 and 0.101.
+PHASES = 8  # positions of a line within a pixel from which its pull is computed
+PULL_REACH = 1.5  # [px] from the line within which its ridge is searched
 PULL_ROUNDS = 2
-GROUND_FROM, GROUND_TO = 1.5, 2.8  # [sd of the filter] from a line, where the ground beside it is asked
-# Of a step beside a stroke is taken to lie under it, by either filter: of some trials the best on 61 chips.
+GROUND_FROM, GROUND_TO = 1.5, 2.8  # [sd of the filter] from a line: where the ground beside it is sampled
+# Share of a step of the ground beside a stroke that is taken to lie under it, for each filter: the best of a few values
+# on 61 chips.
 UNDER_STROKE, FINE_UNDER_STROKE = 0.8, 1.0
-FINE_ROUNDS = 2  # of measuring
-FEWEST_LEANING = 4  # pieces of a stroke
-BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
-PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
+FINE_ROUNDS = 2  # of measuring by the fine filter
+FEWEST_LEANING = 4  # pieces of a stroke that show its step
+BESIDE = 2.0  # [m] from a stroke within which another one may disturb it
+PIECE = 1.2  # [m] length of the pieces of strokes, but at least [px]:
 PIECE_PX = 5.0
-FREE = 1.0  # [m] and [px] from any paint: there the picture must be blank
+FREE = 1.0  # [m] and [px] from all paint: beyond, the picture must be blank
 FREE_PX = 2.2
-CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is so close to it
+CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is this close to it
 CLOSE_PX = 0.6
-CLEAR_NOISES = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
+CLEAR_NOISES = 2.5  # [sigmas of the noise] a stronger ridge is real; it is that of a stroke ...
 FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
 MARRING = 0.5  # with this share it contradicts a blank
 ROUNDING = 0.1  # [grey levels] of noise at least
-FEWEST_PIECES = 12  # on ridges, that a fit needs
-HOPELESS = 0.45  # of the pieces on ridges after the first round: less becomes no court
-SAMPLES_PX = 0.8  # [px] along a piece
-SEEN = 0.5  # of a stroke's pieces on ridges: the stroke is seen
-LEAST_SD = 0.01  # [m] of the ridges about a fit
-PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
+FEWEST_PIECES = 12  # number of pieces on ridges that a fit needs
+HOPELESS = 0.45  # least share of pieces on ridges after the first round: with less the fit is given up
+SAMPLES_PX = 0.8  # [px] between samples along a piece
+SEEN = 0.5  # share of a stroke's pieces on ridges from which the stroke is seen
+LEAST_SD = 0.01  # [m] least scatter of the ridges about a fit
+PRIOR_SD = 0.1  # [ln] one sigma by which a round may change the pixels per metre
 
 
 @dataclass(frozen=True)
 class CourtFit:
-    """court : what was fitted. place : (2,) [px]. angle : of its length [rad] from +x, clockwise on screen. along,
-    across : pixels per metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
-    residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies
-    on ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
-    scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.
+    """court : what was fitted. place : (2,) its centre [px]. angle : of its length [rad] from +x, clockwise on screen.
+    along, across : pixels per metre. along_sd, across_sd : their relative one sigma, by the scatter about the fit
+    alone.
+    residual : (M,) distances of the ridges found from their strokes, across these [px]. lit : share of the painted
+    length that lies on ridges. seen : (S,) that share of each stroke. marred : share of the blank places that ridges
+    cross.
+    scatter : root mean square of `residual`, as a share of its limit; 0.58 for ridges at random places.
     contrast : of the paint, in units of the noise."""
 
     court: Court
@@ -92,9 +96,9 @@ def _pieces(court: Court, length: float, free: float) -> tuple[Pieces, Pieces]:
 
 @dataclass(frozen=True)
 class _Cut:
-    """A court cut into pieces of its strokes for pictures of about `size` [px/m]. length : of a piece [m]. pieces : P
-    of the strokes, blanks : where nothing is painted. rows : (P, 5) by how much a piece moves across its stroke with
-    each part of the pose, as in `_solve`."""
+    """A court whose strokes are cut into pieces, for pictures of about `size` [px/m]. length : of a piece [m]. pieces :
+    P pieces of the strokes, blanks : pieces where nothing is painted. rows : (P, 5) derivatives of a piece's position
+    across its stroke by each part of the pose, as in `_solve`."""
 
     court: Court
     size: float
@@ -120,7 +124,8 @@ class _Cut:
 
 @lru_cache(maxsize=64)
 def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the pieces that a stroke beside them runs along, and how far off it is, to the normal's side [m]."""
+    """Indices of the pieces that run beside another, parallel stroke, and the distance to it, positive on the normal's
+    side [m]."""
     pieces = court.pieces(length)
     along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1)
     gap = pieces.middle[None] - pieces.middle[:, None]
@@ -133,8 +138,9 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class _Sight:
-    """How strokes are seen. narrowest : one sigma of the ridge filter, at least [px]. under : share of a step beside a
-    stroke that is taken to lie under it. blurred : one sigma of what lens and pixels make of a thin line [px]."""
+    """The ridge filter, and how the picture shows strokes. narrowest : least one sigma of the filter [px]. under :
+    share of a step beside a stroke that is taken to lie under it. blurred : one sigma of a thin line as blurred by lens
+    and pixels [px]."""
 
     narrowest: float
     under: float
@@ -145,7 +151,7 @@ class _Sight:
         return max(self.narrowest, PAINT_SD * size)
 
     def pull(self, size: float) -> float:
-        """By how much [px] pixels pull ridges to their middles, at most, where a metre has `size` pixels."""
+        """Largest shift [px] of ridges towards the centres of pixels, where a metre has `size` pixels; see `_pull`."""
         return _pull(round(self.width(size), 2), round(self.blurred, 2))
 
 
@@ -154,8 +160,8 @@ FINE_SIGHT = _Sight(FINE_SD, FINE_UNDER_STROKE)
 
 
 def _pushed(cut: _Cut, size: float, sight: _Sight) -> np.ndarray:
-    """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
-    second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
+    """(P,) shift [px] of the ridge of each piece by a stroke beside it: the peak of the sum of two second derivatives
+    of Gaussians, to first order. It matters only where strokes are a few pixels apart."""
     one, off = cut.neighbours
     variance = sight.width(size) ** 2 + sight.blurred**2
     r = off * size
@@ -164,9 +170,9 @@ def _pushed(cut: _Cut, size: float, sight: _Sight) -> np.ndarray:
 
 
 def _leaned(cut: _Cut, bands: _Bands, strength: np.ndarray, size: float, sight: _Sight) -> np.ndarray:
-    """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
-    of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
-    and the line are those of the whole stroke; none where another stroke is too near to tell."""
+    """(P,) shift [px] of the ridge of each piece by a step of the ground under its stroke, as where a court has another
+    colour than its surroundings: the peak of the sum of the second derivatives of line and step. Both are measured over
+    the whole stroke, without pieces that have another stroke too near; 0 if too few are left."""
     sd = sight.width(size)
     blur = float(np.hypot(sd, sight.blurred))
     near = np.zeros(len(strength), bool)
@@ -185,7 +191,8 @@ def _leaned(cut: _Cut, bands: _Bands, strength: np.ndarray, size: float, sight: 
 
 @lru_cache(maxsize=64)
 def _kernel(count: int, step: float, sd: float, core: int) -> np.ndarray:
-    """(count, 2 core + 1): second derivative of a Gaussian at the middle offsets of a band, unit sum of its size."""
+    """(count, 2 core + 1): negated second derivative of a Gaussian about each of the middle offsets of a band; absolute
+    values sum to 1."""
     offset = (np.arange(count) - count // 2) * step
     r = (offset[:, None] - offset[None, count // 2 - core : count // 2 + core + 1]) / sd
     kernel = (1 - r**2) * np.exp(-0.5 * r**2)
@@ -195,7 +202,8 @@ def _kernel(count: int, step: float, sd: float, core: int) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _offsets(window: float, sd: float) -> tuple[np.ndarray, int]:
-    """Offsets (O,) [px] of a band, and to how many of them to either side ridges of a filter of `sd` [px] are known."""
+    """Offsets (O,) [px] of a band, and the number of them on either side of 0 where a filter of `sd` [px] gives
+    ridges."""
     step = sd / 3
     core = int(np.ceil(window / step)) + 1
     reach = core + int(np.ceil(3.5 * sd / step))
@@ -204,9 +212,9 @@ def _offsets(window: float, sd: float) -> tuple[np.ndarray, int]:
 
 @lru_cache(maxsize=64)
 def _pull(sd: float, blurred: float) -> float:
-    """By how much [px] pixels pull the ridge of a line to their middles, at most: where it lies a quarter of a pixel
-    beside one. sd : one sigma of the ridge filter, blurred : of the line [px]. A line is measured as in pictures, in
-    some places of a pixel."""
+    """Largest shift [px] of the ridge of a line towards the centre of a pixel (the pull): that of a line a quarter of a
+    pixel beside the centre. sd : one sigma of the ridge filter, blurred : of the line [px]. Drawn lines at several
+    positions within a pixel are measured as lines in pictures are."""
     phase = np.arange(PHASES) / PHASES
     pixel = np.arange(4 * PHASES)
     line = np.exp(-0.5 * ((pixel - 2 * PHASES - phase[:, None]) / blurred) ** 2)
@@ -221,9 +229,9 @@ def _pull(sd: float, blurred: float) -> float:
 
 @dataclass
 class _Bands:
-    """Ridge responses (P, O) across pieces at offsets (O,) [px]; inside (P,) whether the picture shows all of it; lean
-    (P,) by how much the ground is brighter on the normal's side [grey levels]; middle (P, I, 2) points along the pieces
-    [px], normal (P, 2) to them."""
+    """Ridge responses (P, O) across pieces at offsets (O,) [px]; inside (P,) whether the whole piece lies in the
+    picture; lean (P,) by how much the ground is brighter on the normal's side [grey levels]; middle (P, I, 2) points
+    along the pieces [px], normal (P, 2) to them."""
 
     response: np.ndarray
     offset: np.ndarray
@@ -249,8 +257,8 @@ class _Bands:
         return self.offset[best] + peak_shift(left, middle, right) * step, np.where(peak, np.maximum(middle, 0), 0)
 
     def pulled(self, offset: np.ndarray, pull: float) -> np.ndarray:
-        """(P,) how far [px] ridges at `offset` (P,) were moved to the middles of pixels. Only lines along rows or
-        columns are: what others are moved by has both signs within a few pixels."""
+        """(P,) shift [px] of ridges at `offset` (P,) towards the centres of pixels. It concerns only lines along rows
+        or columns: along others it changes sign within a few pixels."""
         row, steepest = np.arange(len(offset)), np.abs(self.normal).argmax(1)
         middle, normal = self.middle[row, :, steepest], self.normal[row, steepest]
         moved = np.zeros(len(offset))
@@ -294,15 +302,15 @@ def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float,
 def _moved(
     cut: _Cut, bands: _Bands, offset: np.ndarray, strength: np.ndarray, sizes: tuple[float, float], sight: _Sight
 ) -> np.ndarray:
-    """(P,) how far [px] the ridges at `offset` lie beside their lines: pushed by other strokes and by a step of the
-    ground, and pulled by pixels. sizes : [px/m] for the pushes, and for the pull."""
+    """(P,) distance [px] of the ridges at `offset` from the true lines: pushed by other strokes and by a step of the
+    ground, and pulled towards the centres of pixels. sizes : [px/m] for the pushes, and for the pull."""
     pushed, pulled = sizes
     leaned = _leaned(cut, bands, strength, pushed, sight)
     return _pushed(cut, pushed, sight) + leaned + bands.pulled(offset, sight.pull(pulled))
 
 
 def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
-    """The change [m] by robust least squares (Tukey's weights) of offset = rows @ change [m]."""
+    """The change (5,) of the pose that solves offset [m] = rows @ change by robust least squares (Tukey's weights)."""
     held = np.diag([1e-4, 1e-4, 1e-2, 0.05**2 / PRIOR_SD**2, 0.05**2 / PRIOR_SD**2])
     change = np.zeros(rows.shape[1])
     scale = width / 2
@@ -320,10 +328,10 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
 def fit_court(
     light: np.ndarray, grey: np.ndarray, court: Court, place: np.ndarray, angle: float, size: float
 ) -> CourtFit | None:
-    """The court near `place` [px], `angle` [rad] and `size` [px/m], in two pictures (H, W) float32 [grey levels]: it is
-    seen in `light`, in which paint stands out, and where its strokes are few pixels apart measured in `grey`, plain
-    brightness, which JPEG keeps at full resolution and colours not. None where too little of it is seen to fit
-    anything, or the fit leaves the place."""
+    """The court fitted near `place` [px], `angle` [rad] and `size` [px/m]; None where too little of it is seen for a
+    fit, or the fitted size differs too much from `size`. There are two pictures, (H, W) float32 [grey levels]: the
+    court is found in `light`, in which paint stands out. Where its strokes are a few pixels apart it is then measured
+    in `grey`, plain brightness, which JPEG keeps at full resolution, unlike colours."""
     cut = _Cut.of(court, size)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
@@ -355,7 +363,8 @@ def fit_court(
 
 
 def _finer(grey: np.ndarray, cut: _Cut, pose: np.ndarray) -> tuple[np.ndarray, _Sight]:
-    """The pose by a filter that sees less of neighbouring strokes, and more noise; and how it sees them."""
+    """The pose by a narrower filter, which neighbouring strokes disturb less but noise more, and the `_Sight` it
+    has."""
     window = max(WINDOWS[-1] * cut.size, LEAST_WINDOW)
     _, coarse = _measure(grey, pose, cut.pieces, window, WIDE_SIGHT).peaks(window)
     for _ in range(FINE_ROUNDS):
@@ -371,8 +380,8 @@ def _finer(grey: np.ndarray, cut: _Cut, pose: np.ndarray) -> tuple[np.ndarray, _
 
 
 def _blurred(cut: _Cut, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
-    """One sigma [px] of what lens and pixels make of a thin line, by how much more strength its ridges (P,) have for
-    the coarse filter than for the fine one: see LINE_SEEN. Strokes beside others do not tell."""
+    """One sigma [px] of a thin line as blurred by lens and pixels, from the ratio of its ridges' strengths (P,) in the
+    coarse filter and in the fine one: see LINE_SEEN. Pieces beside other strokes are left out."""
     alone = np.ones(len(fine), bool)
     alone[cut.neighbours[0]] = False
     clear = alone & (weight > 0.5) & (coarse > 0)
@@ -384,12 +393,12 @@ def _blurred(cut: _Cut, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray
 
 
 def _weights(strength: np.ndarray, noise: float) -> np.ndarray:
-    """(P,) of ridges, from none at 1.5 noises to all at 4.5."""
+    """(P,) weights of ridges, from 0 at 1.5 sigmas of the noise to 1 at 4.5."""
     return np.clip((strength / noise - 1.5) / 3, 0, 1)
 
 
 def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The pose after a `change` of `_solve`, of which no more is believed than a round may be off."""
+    """The pose after a `change` of `_solve`, which is limited to what one round may change."""
     change = np.clip(change, -1, 1)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     place = pose[:2] + change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
@@ -398,7 +407,8 @@ def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def _judged(light: np.ndarray, cut: _Cut, pose: np.ndarray, corner: np.ndarray, sight: _Sight) -> CourtFit:
-    """What of the court is seen at its fitted `pose` in `light`, whose upper left pixel is `corner` of the picture."""
+    """How much of the court is seen at its fitted `pose` in `light`, whose upper left pixel is `corner` in the
+    picture."""
     court, pieces = cut.court, cut.pieces
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
@@ -421,7 +431,7 @@ def _judged(light: np.ndarray, cut: _Cut, pose: np.ndarray, corner: np.ndarray, 
         left = offset[hit] / size
         by = cut.rows[hit]
         covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)
-        sds = np.sqrt(np.maximum(np.diag(covariance)[3:], 0))  # 0, nearly, of a direction no stroke measures
+        sds = np.sqrt(np.maximum(np.diag(covariance)[3:], 0))  # nearly 0 in a direction that no stroke measures
         scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close
     return CourtFit(
         court,

@@ -1,7 +1,7 @@
 """Painted courts in metres: their strokes at the centres of the paint.
 
-Rules measure courts to an edge of the paint, tennis to the outer one, FIBA to the inner one; a line of 5 cm makes 0.2
-to 0.5 % of a court. Pictures show its centre. x runs along the court, y across, the origin is in its middle.
+Rules measure courts to an edge of the paint, tennis to the outer one, FIBA to the inner one, but pictures show its
+centre. The 5 cm of a line are 0.2 to 0.5 % of a court. x runs along the court, y across, the origin is in its middle.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where joints and bays have their next line
-BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
+NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where grids of joints and parking bays have their next line
+BEYOND_END = 2.4  # [m] for which a stroke must not continue beyond its end
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A painted line from `start` to `end`, or, with a `radius` [m], an arc about `start` between two angles [rad] that
-    `end` holds. `weight` : of a metre of it; less for what is often left out. `ends` : whether it stops at its ends."""
+    """A painted line from `start` to `end` [m], or, with a `radius` [m], an arc about `start` between the two angles
+    [rad] in `end`. `weight` : per metre; less for what is often left out. `ends` : whether the paint stops at each
+    end."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -30,13 +31,13 @@ class Stroke:
 
     @property
     def length(self) -> float:
-        """Of the paint [m]."""
+        """Length of the paint [m]."""
         if self.radius:
             return self.radius * abs(self.end[1] - self.end[0])
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
 
     def at(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (N, 2) [m] at `along` [m] from its start, and the directions (N,) [rad] it has there."""
+        """Points (N, 2) [m] at `along` [m] from its start, and its directions (N,) [rad] there."""
         if self.radius:
             turn = self.end[0] + np.sign(self.end[1] - self.end[0]) * along / self.radius
             return np.array(self.start) + self.radius * np.stack([np.cos(turn), np.sin(turn)], -1), turn + np.pi / 2
@@ -46,8 +47,8 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Pieces:
-    """Short pieces of strokes: middle (N, 2) [m], direction, length [m], weight (of the whole piece) and number of the
-    stroke (N,); -1 where nothing is painted."""
+    """Short pieces of strokes: middle (N, 2) [m], direction [rad], length [m], weight (of the whole piece) and index of
+    the stroke (N,), which is -1 where nothing is painted."""
 
     middle: np.ndarray
     direction: np.ndarray
@@ -59,8 +60,9 @@ class Pieces:
 @dataclass(frozen=True)
 class Court:
     """strokes : what is painted. standard : the rule, and the length by which a court built to it is known.
-    symmetric : by half a turn. beside : how far [m] beside strokes blanks are looked for. bare : evidence that all of
-    them being marred would take: more where few strokes have to tell a court from a net of lines."""
+    symmetric : under half a turn. beside : how far [m] beside strokes the paint must be missing (blanks). bare :
+    evidence lost if ridges cross all of the blanks; more where few strokes must distinguish a court from a grid of
+    lines."""
 
     strokes: tuple[Stroke, ...]
     standard: Standard
@@ -76,7 +78,7 @@ class Court:
 
     @cached_property
     def groups(self) -> tuple[np.ndarray, ...]:
-        """Numbers of the straight strokes, those of one direction together, and of the arcs that are always painted."""
+        """Indices of the straight strokes, grouped by direction, and of the arcs that are always painted."""
         found: dict[float, list[int]] = {}
         for number, stroke in enumerate(self.strokes):
             if not stroke.radius:
@@ -87,7 +89,7 @@ class Court:
 
     @cached_property
     def size(self) -> np.ndarray:
-        """(2,) along and across all that is painted [m]."""
+        """(2,) extents of the paint along and across the court [m]."""
         return np.ptp(self.pieces(1.0).middle, axis=0)
 
     def pieces(self, length: float) -> Pieces:
@@ -160,8 +162,8 @@ def _box(x: float, y: float) -> list[Stroke]:
 
 
 def _tennis() -> Court:
-    # [m] widths: 2.5 to 5 cm by the rules, of the base line up to 10 cm. Ridges of base lines are 1.05 to 1.08 times as
-    # strong as those of service lines on 100 chips, and courts come out true with:
+    # [m] line widths: 2.5 to 5 cm by the rules, up to 10 cm for the base line. On 100 chips the ridges of base lines
+    # are 1.05 to 1.08 times as strong as those of service lines, and courts get their true size with these widths:
     paint, base = 0.05, 0.0625
     x, y = 23.77 / 2 - base / 2, 10.97 / 2 - paint / 2
     single, service = 8.23 / 2 - paint / 2, 6.40 - paint / 2
@@ -195,8 +197,8 @@ def _volleyball() -> Court:
 
 
 def _basketball(length: float, width: float, key: float, depth: float, name: str, source: str) -> Court:
-    """length x width [m] to the inside of the lines; the key is `key` wide to its outside, its far edge `depth` from
-    the end line's inner edge."""
+    """length x width [m] to the inside of the lines; the key is `key` [m] wide to its outside, and its far edge is
+    `depth` [m] from the end line's inner edge."""
     half = 0.025
     x, y, k, free = length / 2 + half, width / 2 + half, key / 2 - half, length / 2 - depth + half
     lines = [*_box(x, y), _across(0.0, -y, y), _arc(0, 0, 1.8 - half, 0, 360)]
@@ -209,9 +211,9 @@ def _basketball(length: float, width: float, key: float, depth: float, name: str
 
 
 def _handball() -> Court:
-    half, post = 0.025, 1.5  # [m] of the paint; of the goal
+    half, post = 0.025, 1.5  # [m] half widths of the paint and of the goal
     x, y, area = 20.0 - half, 10.0 - half, 6.0 - half
-    goal = 20.0  # [m] the goal line's outer edge, from which the area is measured
+    goal = 20.0  # [m] to the goal line's outer edge, from which the area is measured
     lines = [*_box(x, y), _across(0.0, -y, y)]
     for side in (-1, 1):
         lines += [_across(side * (goal - area), -post, post, ends=(False, False))]
@@ -229,8 +231,8 @@ def _handball() -> Court:
 
 
 def _penalty_area() -> Court:
-    half = 0.05  # [m] of lines of 10 cm, 12 at most
-    outer = 8.25  # [m] of the goal line's outer edge, from the middle of the area
+    half = 0.05  # [m] half the width of lines of 10 cm; 12 at most
+    outer = 8.25  # [m] from the middle of the area to the goal line's outer edge
     goal, front, near = outer - half, outer - 16.5 + half, outer - 5.5 + half
     wide, goal_wide = 40.32 / 2 - half, 18.32 / 2 - half
     lines = [_across(goal, -wide, wide, ends=(False, False)), _across(front, -wide, wide)]
@@ -251,7 +253,7 @@ def _penalty_area() -> Court:
 
 
 def _centre_circle() -> Court:
-    half, radius, reach = 0.05, 9.15, 22.5  # [m] of lines of 10 cm; to their outside; of the halfway line at least
+    half, radius, reach = 0.05, 9.15, 22.5  # [m] half a line of 10 cm; to its outside; least half of halfway line
     lines = [_along(0.0, -reach, reach, ends=(False, False)), _arc(0, 0, radius - half, 0, 360, weight=1.0)]
     rule = Standard(
         "IFAB centre circle",
@@ -264,7 +266,8 @@ def _centre_circle() -> Court:
 
 
 def _padel() -> Court:
-    service, width, beyond = 6.95, 10.0, 0.2  # [m]; to which edge of 5 cm of paint 6.95 m go is not said: its middle
+    # [m] The rules do not say to which edge of the 5 cm of paint the 6.95 m go: its centre is assumed.
+    service, width, beyond = 6.95, 10.0, 0.2
     lines = [_across(side * service, -width / 2, width / 2, ends=(False, False)) for side in (-1, 1)]
     lines += [_along(0.0, -service - beyond, service + beyond)]
     rule = Standard(

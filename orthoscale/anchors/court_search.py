@@ -14,27 +14,28 @@ from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, SEED_PX
 
 SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
-LONG_STROKES = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
+LONG_STROKES = 0.6  # shares of the longest stroke and of the widest pair: least lengths and gaps of strokes with seeds
 SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
-ALONG_PAIR = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
+ALONG_PAIR = np.linspace(-4, 4, 9)  # [m] places along a pair where the ridges of all long strokes are looked up
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
-FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
-SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
+FRAMES_AT_ONCE = 64  # placed together: for speed and memory
+SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames this near each other count as one
 SAME_PX = 2.0
-FRAMES = 3000  # per megapixel, the most promising; at least:
+FRAMES = 3000  # most promising ones kept per megapixel, but never fewer than:
 FEWEST_FRAMES = 100
-COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
-APART = 6  # [px] between two places along a pair, and steps of what changes little along it
-PLACES = 2  # along a pair
+COARSE_PIECE = 1.0  # [m] of a stroke for which one ridge value is looked up
+APART = 6  # [px] least distance of two places along a pair, and step for strokes along it, whose ridge changes little
+PLACES = 2  # kept along a pair
 LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
-OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
-SAME_SEED = 0.25  # of a court's width: places so near each other end at the same fit
+OTHER_ANGLE = 0.2  # [rad] least difference of two distinct poses at one place
+SAME_SEED = 0.25  # of a court's width: places this near each other lead to the same fit
 
 
 @dataclass(frozen=True)
 class _Family:
-    """Long parallel strokes of a court. direction [rad]. at (L,) across it [m]; low, high (L,) along it [m]."""
+    """Long parallel strokes of a court. direction [rad]. at (L,) their places across it [m]; low, high (L,) their ends
+    along it [m]."""
 
     direction: float
     at: np.ndarray
@@ -44,7 +45,7 @@ class _Family:
 
 @lru_cache(maxsize=64)
 def _families(court: Court) -> tuple[_Family, ...]:
-    """The long strokes of `court` by direction; those of a court without half-turn symmetry both ways round."""
+    """The long strokes of `court` by direction; for a court without half-turn symmetry, both ways round."""
     lines = [stroke for stroke in court.strokes if not stroke.radius]
     lines = [line for line in lines if line.length >= LONG_STROKES * max(one.length for one in lines)]
     found: dict[float, list[tuple[float, float, float]]] = {}
@@ -60,9 +61,9 @@ def _families(court: Court) -> tuple[_Family, ...]:
 
 @dataclass(frozen=True)
 class _Frames:
-    """Courts whose place along the seeds is not known, (N,) each. angle : of the seeds [rad]. size : px per metre.
-    middle : of the court across the seeds; low, high : between which it lies along them; about : where the seeds are
-    along them [px]; from the picture's origin. promise : mean ridge."""
+    """Poses of courts whose place along the seeds is not known yet, (N,) each. angle : of the seeds [rad]. size : px
+    per metre. middle : the court's centre across the seeds; low, high : limits of its place along them; about : the
+    seeds' own place along them; all from the picture's origin [px]. promise : mean ridge."""
 
     angle: np.ndarray
     size: np.ndarray
@@ -77,8 +78,8 @@ class _Frames:
 
 
 def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
-    """Where `court` may lie, one of those near each other, best first, if a metre is `size` [px] within a factor
-    exp(spread)."""
+    """Where `court` may lie, best first, with only the best of poses near each other. A metre is `size` [px] to within
+    a factor exp(spread)."""
     found = [Poses(np.zeros((0, 2)), *np.zeros((3, 0)))]
     if not _families(court):
         found.append(circled(ridges, court, size, spread))
@@ -96,7 +97,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     seeds = ridges.seeds
     longest, widest = float((family.high - family.low).max()), float(np.ptp(family.at))
     reach = size * np.exp(spread) * np.array([longest / 2, widest])
-    # near in place and in direction: a turn by SEEDS_APART counts as much as the whole reach
+    # pairs near in place and direction: a turn by SEEDS_APART counts as much as the whole reach
     most = float(np.hypot(*reach))
     around = most / (2 * np.sin(SEEDS_APART)) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
     pair = cKDTree(np.hstack([seeds.middle, around])).query_pairs(most * np.sqrt(2), output_type="ndarray")
@@ -115,7 +116,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     for p in range(len(family.at)):
         for q in range(p + 1, len(family.at)):
             gap = family.at[q] - family.at[p]
-            if gap < LONG_STROKES * widest:  # says little of the size
+            if gap < LONG_STROKES * widest:  # says little about the size
                 continue
             own = (across[:, 1] - across[:, 0]) / gap
             low = (along + half - own[:, None] * family.high[[p, q]]).max(1)
@@ -127,7 +128,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     promise = _promise(ridges, family, frames)
     order = np.argsort(-promise, kind="stable")
     frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING_FRAME])
-    # of frames that say the same the most promising, along all that any of them allows
+    # the most promising of frames that count as one, with the limits of all of them together
     turn = np.rint(frames.angle / SEEDS_APART)
     c, s = np.cos(frames.angle - turn * SEEDS_APART), np.sin(frames.angle - turn * SEEDS_APART)
     scale = np.rint(np.log(frames.size / size) / SAME_SIZE)
@@ -141,7 +142,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
 
 
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
-    """(N,) mean ridge of all the long strokes about the seeds."""
+    """(N,) mean ridge of all the long strokes near the seeds."""
     c, s = np.cos(frames.angle)[:, None], np.sin(frames.angle)[:, None]
     along = frames.about[:, None] + frames.size[:, None] * ALONG_PAIR
     total = np.zeros(len(frames.angle))
@@ -153,7 +154,7 @@ def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
 
 
 def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> Poses:
-    """The best places along the seeds, a few of each frame."""
+    """The best places along the seeds, a few for each frame."""
     pieces = court.pieces(COARSE_PIECE)
     steps = int(np.ceil((frames.high - frames.low).max())) + 1
     shift = frames.low[:, None] + np.arange(steps)  # (N, T) [px]
@@ -165,7 +166,7 @@ def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> P
     size = frames.size[:, None, None]
     score = np.zeros(shift.shape, np.float32)
     parallel = np.abs(np.sin(pieces.direction - family.direction)) < 0.1
-    # strokes that cross the seeds need every pixel along them, those beside them only some
+    # strokes that cross the seeds need every pixel along them, parallel ones only some
     for which, every in ((~parallel, 1), (parallel, APART)):
         u, v = pieces.middle[which] @ (c, s), pieces.middle[which] @ (-s, c)
         along = (shift[:, ::every, None] + size * u).astype(np.float32)
@@ -193,7 +194,7 @@ def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> P
 
 
 def _alone(poses: Poses, court: Court) -> Poses:
-    """Of poses near each other the first."""
+    """`poses` without those near an earlier one."""
     kept: list[int] = []
     for i in range(len(poses.score)):
         gap = np.hypot(*(poses.place[kept] - poses.place[i]).T)

@@ -1,7 +1,7 @@
 """Finders of painted courts: searched for at a coarse resolution, measured in the picture's own pixels.
 
-A court counts only if nearly all lines that the rules prescribe are found, and little where nothing should be painted:
-a car park has many parallel lines, but none where a service line would have to be.
+A court counts only if nearly all lines that the rules prescribe are found, and little is found where nothing should be
+painted: a car park has many parallel lines, but none where a service line would have to be.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ from .poses import Ridges
 from .ridges import lightness
 from .rules import SIGMAS_SEARCHED
 
-SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
-ENLARGED = 2.0  # at most: a coarser picture is searched coarser
-LEAST_SIDE_PX = 16  # [px] of a picture's shorter side
-SURE = 0.8  # of a fit's paint is seen: no other court lies on it
-COURTS_OVERLAP = 0.95  # of both sides: courts whose middles are nearer overlap; the rest is what fits may be off
-PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
-STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
+SEARCHED = 0.3  # [m/px] of the search: a line of 5 cm is just seen, and a court is small
+ENLARGED = 2.0  # largest factor: a coarser picture is searched at a coarser resolution
+LEAST_SIDE_PX = 16  # [px] least shorter side of a picture
+SURE = 0.8  # share of a fit's paint that is seen, from which no other court is tried on it
+COURTS_OVERLAP = 0.95  # of both sides: courts with nearer centres overlap; the rest allows for errors of fits
+PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # paint hardly scatters by more than the first; evidence lost per unit of more
+STRETCHED = 0.03  # largest |ln| of the ratio of pixels per metre along and across
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
-# times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
+# times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44); at EVEN they are as frequent as courts.
 STEEPNESS = 25.0
 EVEN = 0.54
-NEVER_SURE = 0.002  # what looks like a court to the last line may still be something else
-# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: what orthophotos
-# distort, and, by the squared GSD [m/px], what a coarse picture leaves of lines. STRETCH_REMAINS is the share of the
-# disagreement of both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
+NEVER_SURE = 0.002  # least probability of a false find: what has every line of a court may still be something else
+# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: the distortion of
+# orthophotos, and, times the squared GSD [m/px], the detail that lines lose in coarse pictures. STRETCH_REMAINS is the
+# share of the difference between both directions that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41
+# and 0.50 m/px.
 ALONG_SD, ALONG_COARSE = 0.002, 0.016
 ACROSS_SD, ACROSS_COARSE = 0.003, 0.018
 STRETCH_REMAINS = 0.5
 
 
 def evidence(fit: CourtFit) -> float:
-    """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
-    strokes of that direction, or the arcs, of which fewer are; less what is seen where nothing should be, and less
-    where the ridges do not lie on straight lines."""
+    """Evidence for a court, 1 if all of it is seen and nothing else: the mean of the share of painted length that is
+    seen and of the smallest such share among groups of strokes (those of one direction, or the arcs), less what ridges
+    show where nothing should be painted, and less if ridges scatter about the strokes."""
     weight = np.array([stroke.weight for stroke in fit.court.strokes])
     fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
     return (
@@ -64,7 +65,7 @@ def evidence(fit: CourtFit) -> float:
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
-    """Pixels per metre, the mean of both directions by their certainty, and its relative one sigma."""
+    """Pixels per metre, the mean of both directions weighted by their variances, and its relative one sigma."""
     sd = np.array([
         np.sqrt(own**2 + least**2 + (coarse / size**2) ** 2)
         for own, size, least, coarse in (
@@ -87,7 +88,7 @@ def _resized(light: np.ndarray, gsd: float, searched: float) -> np.ndarray:
 
 
 def overlap(fit: CourtFit, place: np.ndarray) -> bool:
-    """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
+    """Whether a court like `fit` with its centre at `place` [px] would overlap it."""
     c, s = np.cos(fit.angle), np.sin(fit.angle)
     gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
     return bool((gap < COURTS_OVERLAP * fit.court.size).all())
@@ -95,11 +96,11 @@ def overlap(fit: CourtFit, place: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class CourtFinder:
-    """Finds one kind of painted court, built to any of some rules; see `AnchorFinder`.
+    """Finds one kind of painted court, built to any of several rules; see `AnchorFinder`.
 
-    courts : by the rules. rivals : what parts of look like these courts; where more speaks for one of them, there is no
-    court of this kind. even : evidence at which what is found is as often something else as a court; more of it is
-    accepted. Other fields are those of the protocol.
+    courts : one for each rule. rivals : other courts of which parts look like these; where the evidence for a rival is
+    greater, there is no court of this kind. even : evidence at which a find is as often something else as a court;
+    finds with more are accepted. Other fields are those of the protocol.
     """
 
     kind: str
@@ -111,7 +112,7 @@ class CourtFinder:
 
     @property
     def standards(self) -> tuple[Standard, ...]:
-        """That of each court."""
+        """The standard of each court."""
         return tuple(court.standard for court in self.courts)
 
     @property
@@ -150,13 +151,13 @@ class CourtFinder:
 
 @lru_cache(maxsize=1)
 def _ridges(light: bytes, height: int, width: int) -> Ridges:
-    """Those of a picture (height, width) of float32; kept for the finders of other kinds, which look at it next."""
+    """Ridges of a picture (height, width) of float32; kept for the finders of other kinds, which look at it next."""
     return Ridges(np.frombuffer(light, np.float32).reshape(height, width))
 
 
 class CourtLook:
-    """One picture with its ridges, searched at `searched` m/px for courts between two sizes; other arguments as of
-    `AnchorFinder.find`."""
+    """One picture with its ridges, searched at `searched` m/px for courts of a size that fits the scale; other
+    arguments as in `AnchorFinder.find`."""
 
     def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float, searched: float = SEARCHED) -> None:
         self.gsd, self.spread = gsd, SIGMAS_SEARCHED * gsd_sd
@@ -167,8 +168,8 @@ class CourtLook:
         self.ridges = _ridges(small.astype(np.float32).tobytes(), *small.shape)
 
     def fits(self, court: Court, sure: float = SURE) -> list[CourtFit]:
-        """All fits of `court` of a likely size and shape, court or not, in the order of the search. Where more than the
-        share `sure` of one's paint is seen, no other is tried."""
+        """All fits of `court` of a likely size and shape, whether true or not, in the order of the search. Where a fit
+        has more than the share `sure` of its paint seen, no other is tried on it."""
         zoom = float(np.sqrt(self.factor.prod()))
         poses = search(self.ridges, court, zoom / self.gsd, self.spread)
         places = (poses.place + 0.5) / self.factor - 0.5
@@ -188,7 +189,7 @@ class CourtLook:
 
 
 TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
-# The others' EVEN is higher: tennis courts, and nets of joints and roofs, have more of their strokes.
+# The others' `even` is higher: tennis courts, and grids of joints or roofs, have more strokes in common with them.
 VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,), (TENNIS_COURT,), even=0.6)
 BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS, (TENNIS_COURT,), even=0.58)
 HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,), (TENNIS_COURT, *BASKETBALL_COURTS), even=0.6)

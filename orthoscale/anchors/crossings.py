@@ -14,19 +14,19 @@ from .rules import ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 from .zebra_rules import ZEBRA_FREE, ZEBRA_LEFT_FREE, ZEBRA_STANDARDS
 
-ZEBRA_FALSE = 0.05  # three of 100 finds in 120 Mpx were louvres of one facade, seen askew, which are told apart since
-ZEBRA_FOREIGN = 1 - (1 - ZEBRA_FALSE) * (1 - ZEBRA_LEFT_FREE)  # where no rule of the country is known: it may be free
+ZEBRA_FALSE = 0.05  # of 100 finds in 120 Mpx three were louvres of one facade, seen askew; now rejected
+ZEBRA_FOREIGN = 1 - (1 - ZEBRA_FALSE) * (1 - ZEBRA_LEFT_FREE)  # where no rule is known: the country may prescribe none
 
-STRIPE_SIGMA = 0.19  # of the ridges' smoothing [m]: a third to a half of a stripe
-ZEBRA_SHORTEST, ZEBRA_LONGEST = 1.8, 11.0  # of stripes [m]
+STRIPE_SIGMA = 0.19  # [m] one sigma of the ridge filter: a third to a half of a stripe
+ZEBRA_SHORTEST, ZEBRA_LONGEST = 1.8, 11.0  # [m] lengths of stripes
 ZEBRA_FEWEST = 5  # stripes
-ZEBRA_FILLED = 0.65  # of the places taken: vehicles hide stripes
-ZEBRA_REGULAR = 1.5  # natural logarithm of how much likelier such a row is as one than by chance
-ZEBRA_ASKEW = 0.25  # of their length: how far stripes are shifted along themselves, rms; facades seen askew
-ZEBRA_CROWDED = 0.1  # of the gaps with a stripe between
-ZEBRA_CONTRAST = 15.0  # grey levels between stripes and ground
-ZEBRA_SAME_GROUND = 0.45  # of the contrast: how far the ground past the stripes may differ from that between
-ZEBRA_PAST = 0.7  # of the ends, where that ground is seen [m]
+ZEBRA_FILLED = 0.65  # least share of the row's places that have a stripe: vehicles hide some
+ZEBRA_REGULAR = 1.5  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
+ZEBRA_ASKEW = 0.25  # of their length: most that stripes may be shifted along themselves, rms; against facades
+ZEBRA_CROWDED = 0.1  # largest share of gaps with a stripe in between
+ZEBRA_CONTRAST = 15.0  # [grey levels] least contrast of stripes to ground
+ZEBRA_SAME_GROUND = 0.45  # of the contrast: most that the ground past the stripes may differ from that between
+ZEBRA_PAST = 0.7  # [m] past the ends, where that ground is sampled
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ZebraCrossings:
 
 
 def _is_crossing(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
-    """Whether its stripes are painted on a road: bright, and the same ground between them as past both ends."""
+    """Whether the stripes are painted on a road: bright, with the same ground between them as past both ends."""
     if ladder.row.filled < ZEBRA_FILLED or ladder.row.regularity < ZEBRA_REGULAR or ladder.askew > ZEBRA_ASKEW:
         return False
     seen = levels(image, ladder, ladder.row.period / 2, ZEBRA_PAST / gsd)

@@ -13,8 +13,8 @@ from .repeated import anchor_of
 from .rules import ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
-LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 68 of 81 American lines are within 1.2 %
-LANE_FALSE = 0.07  # six of 81 American lines are off by 3 to 11 %: painted to no rule, or two lines taken for one
+LANE_PAINTED = 0.01  # relative 1 sigma of a line's mean period about its rule: 68 of 81 American lines are within 1.2 %
+LANE_FALSE = 0.07  # six of 81 American lines are off by 3 to 11 %: painted to no rule, or two lines merged into one
 
 
 POLAND = "speeds by brd.szkola.pl and droga.zut.edu.pl; lengths recalled"
@@ -72,18 +72,18 @@ LANE_LINES = (
 """Length of the dash [m] and standard."""
 
 PAINTED_SHARE = {standard.name: dash / standard.metres for dash, standard in LANE_LINES}  # by names of standards
-ANY_SHARE = 0.12, 0.7  # of paint, where a standard does not say
+ANY_SHARE = 0.12, 0.7  # limits of the share of paint where a standard does not give it
 
-LANE_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
-LANE_THINNEST = 0.8  # of that smoothing [px]
+LANE_LINE_SIGMA = 0.09  # [m] one sigma of the ridge filter: lines are 0.10 to 0.15 m wide
+LANE_THINNEST = 0.8  # [px] least value of that sigma
 LANE_FEWEST = 5  # dashes
-LANE_FILLED = 0.55  # of the places taken: vehicles hide dashes
-LANE_REGULAR = 3.5  # natural logarithm of how much likelier such a row is as one than by chance
-LANE_UNEVEN = 0.2  # of their length: one sigma of the dashes' lengths
-DASH_SD, DASH_DOUBT_PX = 0.06, 1.5  # how far a dash's length is off its rule: one sigma, and of measuring it at most
-LANE_CONTRAST = 12.0  # grey levels between dashes and the ground beside them
-LANE_SAME_GROUND = 0.35  # of the contrast, by which the ground in the gaps may differ from that beside the dashes
-LANE_ASIDE = 0.5  # of the dashes, where that ground is seen [m]
+LANE_FILLED = 0.55  # least share of the row's places that have a dash: vehicles hide some
+LANE_REGULAR = 3.5  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
+LANE_UNEVEN = 0.2  # of the median length: most that the lengths may scatter, one sigma
+DASH_SD, DASH_DOUBT_PX = 0.06, 1.5  # of a dash's length about its rule, relative one sigma; largest error of measuring
+LANE_CONTRAST = 12.0  # [grey levels] least contrast of dashes to the ground beside them
+LANE_SAME_GROUND = 0.35  # of the contrast: most that the ground in the gaps may differ from that beside the dashes
+LANE_ASIDE = 0.5  # [m] beside the dashes, where that ground is sampled
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class LaneDashes:
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
         known = ruled(self.standards, country)
-        if country and not known:  # lines of other countries fit some rule or other: Banepa's, by 8 %
+        if country and not known:  # another country's rule may fit by chance: for Banepa's lines one did, 8 % off
             return []
         standards = holding(self.standards, country) if known else by_country(self.standards)
         low, high = sizes(standards, gsd, gsd_sd)
@@ -119,7 +119,7 @@ class LaneDashes:
 
 
 def by_country(standards: Sequence[Standard]) -> list[Standard]:
-    """Each of `standards` once for each country that it names, with its share of that country's rules for a prior."""
+    """Each of `standards` once for each country that it names; its prior is its share among that country's rules."""
     out = []
     for country in dict.fromkeys(code for standard in standards for code in standard.countries):
         own = holding(standards, country)
@@ -129,19 +129,19 @@ def by_country(standards: Sequence[Standard]) -> list[Standard]:
 
 
 def _unlike(standards: Sequence[Standard], meant: Sequence[Standard]) -> tuple[str, ...]:
-    """The countries that `standards` name and none of those that are `meant`."""
+    """The countries that `standards` name but none of `meant` does."""
     like = {code for standard in meant for code in standard.countries}
     return tuple(sorted({code for standard in standards for code in standard.countries} - like))
 
 
 def _shares(standard: Standard) -> tuple[float, float]:
-    """The least and the greatest share of paint that a line built to `standard` has."""
+    """The least and the greatest share of paint of a line built to `standard`."""
     share = PAINTED_SHARE.get(standard.name)
     return ANY_SHARE if share is None else (share, share)
 
 
 def _like(standards: Sequence[Standard], chain: Chain) -> list[Standard]:
-    """Those whose share of paint is the chain's, which needs no scale."""
+    """The standards with the chain's share of paint; to compare it needs no scale."""
     seen, doubt = chain.length / chain.row.period, DASH_DOUBT_PX / chain.row.period
     like = []
     for standard in standards:
@@ -152,7 +152,7 @@ def _like(standards: Sequence[Standard], chain: Chain) -> list[Standard]:
 
 
 def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:
-    """Whether its dashes are equal and painted, with the same ground in the gaps as left and right of them."""
+    """Whether the dashes are equal and painted, with the same ground in the gaps as left and right of the dashes."""
     if chain.row.filled < LANE_FILLED or chain.row.regularity < LANE_REGULAR:
         return False
     if np.std(chain.strokes.length) > LANE_UNEVEN * chain.length:

@@ -1,4 +1,4 @@
-"""Fields of American football, by their yard lines: every five yards, from side line to side line."""
+"""Fields of American football, by their lines every five yards, from side line to side line."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ YARD_LINES = Standard(
     "NFL, NCAA and NFHS football rules, rule 1: lines of 4 in every 5 yards, field 53 1/3 yards wide; Canadian rule 1: "
     "65 yards wide; the spread is ours",
 )
-WIDTHS = 9.6, 14.5  # in pitches: the field has 10.7, in Canada 13, and a white border of a yard or two
+WIDTHS = 9.6, 14.5  # limits in pitches: fields are 10.7 wide, in Canada 13, plus a white border of a yard or two
 GRID_FALSE = 0.03
 FEWEST_YARDS, MOST_YARDS = 8, 27  # lines
-YARD_BLOCK = 3.0  # [m] along the lines
-ACROSS_FIELD = 62.0  # [m] to either side
+YARD_BLOCK = 3.0  # [m] length of a block along the lines
+ACROSS_FIELD = 62.0  # [m] of the cross section to either side
 YARD_LINE = 0.1  # [m] of paint
 
 
@@ -56,7 +56,7 @@ class Gridirons:
 
 
 def _is_as_wide_as_a_field(blocks: Sequence[Block]) -> bool:
-    """Whether the lines are as long as fields are wide, which needs no scale."""
+    """Whether the lines, in units of their pitch, are as long as fields are wide; this needs no scale."""
     ends = np.array([blocks[0].place, blocks[-1].place])
     block = np.linalg.norm(blocks[1].place - blocks[0].place)
     width = (np.linalg.norm(ends[1] - ends[0]) + block) / pitch(blocks)

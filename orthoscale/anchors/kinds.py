@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """finder : in which module of this package, and by what name, such as "courts:TENNIS": an `AnchorFinder`, or what
-    makes one when it is called; if it takes `standards`, it looks for other sizes than its own, too.
-    proven : whether it is looked for by default: its false finds were counted (docs/anchors.md).
+    """finder : module of this package and name in it, such as "courts:TENNIS". It is an `AnchorFinder`, or a callable
+    that makes one; if the callable takes `standards`, the finder can look for a user's own sizes, too.
+    proven : whether the kind is looked for by default, as its false finds were counted (docs/anchors.md).
     """
 
     finder: str
@@ -40,7 +40,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "container": Kind("containers:ContainerRows"),
 }
 
-ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`
+ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices of `--anchors` beside kinds
 
 
 def slug(kind: str) -> str:
@@ -49,7 +49,7 @@ def slug(kind: str) -> str:
 
 
 def chosen(choices: Sequence[str], own: Collection[str] = ()) -> list[str]:
-    """The kinds with a finder that `choices` of `--anchors` mean, and those of a user's `own` standards, in the order
+    """The kinds with a finder that `choices` of `--anchors` select, and those of a user's `own` standards, in the order
     of the table."""
     if NO_KIND in choices:
         return []
@@ -61,7 +61,7 @@ def chosen(choices: Sequence[str], own: Collection[str] = ()) -> list[str]:
 
 
 def finder(kind: str, own: Mapping[str, tuple[Standard, ...]]) -> AnchorFinder:
-    """The finder of a kind, which looks for the user's `own` standards of it where there are some."""
+    """The finder of a kind; it looks for the user's `own` standards of that kind, if any."""
     module, _, name = ANCHOR_KINDS[kind].finder.partition(":")
     found = getattr(import_module(f".{module}" if "." not in module else module, __package__), name)
     if callable(found) and kind in own and "standards" in inspect.signature(found).parameters:

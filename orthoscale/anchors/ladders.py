@@ -10,22 +10,22 @@ import numpy as np
 from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
 from .strokes import Strokes, linked, near_pairs, values
 
-RUNGS_TURN = np.radians(5)  # from one to the next, at most
+RUNGS_TURN = np.radians(5)  # most from one stroke to the next
 RUNGS_PARALLEL = np.cos(RUNGS_TURN)
-STEEPEST_SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
-RUNGS_BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
-UNLIKE_RUNGS = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
-BETWEEN_RUNGS = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
-LEAN_PX = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
-PROFILES = 12  # across each stroke
-ALIKE_PAIR, PAIR_BESIDE = 1.3, 0.7  # ratio of lengths, and share of the shorter, of two lines that are one double one
-LADDERS = 8  # ladders in one cluster of strokes, at most
+STEEPEST_SLANT = 1.3  # tangent: most that a stroke may stand ahead of its neighbour, in pitches
+RUNGS_BESIDE = 0.5  # of the shorter: least length over which neighbours lie side by side
+UNLIKE_RUNGS = 1.7  # largest ratio of lengths of neighbours: a vehicle may hide part of one
+BETWEEN_RUNGS = 0.27  # of a pitch: least distance from both strokes of a line between them; double lines stand closer
+LEAN_PX = 0.1  # [px] over its length: one sigma by which a stroke leans towards rows or columns, common to all
+PROFILES = 12  # cross sections of each stroke
+ALIKE_PAIR, PAIR_BESIDE = 1.3, 0.7  # of the lines of a double one: largest ratio of lengths, least share side by side
+LADDERS = 8  # most ladders in one cluster of strokes
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """strokes : (M,) those of one ladder in order. row : their places along `across`.
-    along, across : (2,) unit vectors of the strokes and of the pitch."""
+    """strokes : (M,) the strokes in order. row : their positions along `across`.
+    along, across : (2,) unit vectors along the strokes and along the pitch."""
 
     strokes: Strokes
     row: Row
@@ -34,19 +34,20 @@ class Ladder:
 
     @property
     def length(self) -> float:
-        """Of its strokes [px]."""
+        """Median length of its strokes [px]."""
         return float(np.median(self.strokes.length))
 
     @property
     def apart(self) -> float:
-        """From one line to the other of its strokes, if they are double [px]; else 0."""
+        """Distance between the two lines of its strokes, if they are double [px]; else 0."""
         return 0.0 if self.strokes.apart is None else float(np.median(self.strokes.apart))
 
     @property
     def relative_sd(self) -> float:
-        """One sigma of the pitch: of the fit, and of the direction in which it is measured.
+        """Relative one sigma of the pitch, by the fit and by the direction in which it is measured.
 
-        A slanted row's pitch is taken across the strokes, so an error of their direction tells by the tangent.
+        The pitch is taken across the strokes: in a slanted row an error of their direction counts by the tangent of the
+        slant.
         """
         step = self.strokes.centre[-1] - self.strokes.centre[0]
         slant = float(step @ self.along) / max(abs(float(step @ self.across)), 1.0)
@@ -63,12 +64,12 @@ class Ladder:
 
     @property
     def fanned(self) -> float:
-        """How far the strokes turn from the first to the last, sine of the angle."""
+        """Sine of the angle by which the strokes turn from the first to the last."""
         turn = (self.strokes.along * self.across).sum(1) * np.sign((self.strokes.along * self.along).sum(1))
         return float(abs(np.polyfit(self.row.number, turn, 1)[0]) * self.row.number[-1])
 
     def shares(self, other: Ladder) -> bool:
-        """Whether most of its strokes are among those of `other`, or are one of the two lines of a double one."""
+        """Whether most of its strokes are strokes of `other`, or one of the two lines of its double strokes."""
         gap = self.strokes.centre[:, None] - other.strokes.centre
         near = np.abs(gap @ other.across) < max(other.apart, 1.0)
         near &= np.abs(gap @ other.along) < other.length / 2
@@ -82,12 +83,13 @@ class Ladder:
 
 
 def doubled(strokes: Strokes, least: float, most: float) -> Strokes:
-    """The double strokes, each two equal `strokes` side by side, `least` to `most` [px] apart: one midway for both."""
+    """The double strokes: pairs of equal `strokes` side by side, `least` to `most` [px] apart, each pair replaced by
+    one stroke midway."""
     pairs = [_pair(strokes, i, j, least, most) for i, j in near_pairs(strokes, 2 * most, RUNGS_TURN)]
     i, j, across = (np.concatenate(each) for each in zip(*pairs, strict=True)) if pairs else np.zeros((3, 0), int)
     order = np.argsort(across, kind="stable")
     free, kept = np.ones(len(strokes), bool), []
-    for k in order.tolist():  # each is of one pair, the closest
+    for k in order.tolist():  # each stroke belongs to one pair, its closest
         if free[i[k]] and free[j[k]]:
             free[[i[k], j[k]]] = False
             kept.append(k)
@@ -101,7 +103,7 @@ def doubled(strokes: Strokes, least: float, most: float) -> Strokes:
 def _pair(
     strokes: Strokes, i: np.ndarray, j: np.ndarray, least: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the pairs (i, j) those that can be one double stroke, and how far their lines are apart [px]."""
+    """The pairs (i, j) that can be one double stroke, and the distance between their lines [px]."""
     apart = strokes.centre[j] - strokes.centre[i]
     ahead = np.abs((apart * strokes.along[i]).sum(1))
     across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
@@ -127,7 +129,7 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
 
 
 def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
-    """Strokes that are linked by being side by side, a few pitches apart at most."""
+    """Groups of strokes that are side by side, a few pitches apart at most."""
     reach = (MISSING_IN_A_ROW + 1) * high
     near = near_pairs(strokes, reach * np.hypot(1, STEEPEST_SLANT), RUNGS_TURN)
     parts = [_beside(strokes, i, j, low, reach) for i, j in near]
@@ -136,7 +138,7 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
 
 
 def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the pairs (i, j) those that can be of one ladder: alike, and side by side."""
+    """The pairs (i, j) that can belong to one ladder: alike, and side by side."""
     apart = strokes.centre[j] - strokes.centre[i]
     ahead = np.abs((apart * strokes.along[i]).sum(1))
     across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
@@ -150,14 +152,14 @@ def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: f
 
 
 def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Ladder | None, np.ndarray]:
-    """The best ladder in a cluster, and which strokes it took."""
+    """The best ladder in a cluster, and the indices of its strokes."""
     if len(strokes) < fewest:
         return None, np.zeros(0, int)
     along = _direction(strokes)
     row = find_row(strokes.centre @ _across(along), low, high, fewest)
     if row is None:
         return None, np.zeros(0, int)
-    along = _direction(strokes[row.member])  # of its own strokes alone
+    along = _direction(strokes[row.member])  # by the ladder's own strokes alone
     again = find_row(strokes.centre @ _across(along), low, high, fewest)
     row = again if again is not None else row
     own = strokes[row.member]
@@ -165,7 +167,7 @@ def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Lad
 
 
 def _direction(strokes: Strokes) -> np.ndarray:
-    """(2,) mean direction of the strokes, which have no front: by doubled angles."""
+    """(2,) mean direction of the strokes. Strokes have no front, so doubled angles are averaged."""
     turn = 2 * np.arctan2(strokes.along[:, 1], strokes.along[:, 0])
     mean = np.arctan2((strokes.length * np.sin(turn)).sum(), (strokes.length * np.cos(turn)).sum()) / 2
     return np.array([np.cos(mean), np.sin(mean)])
@@ -176,8 +178,8 @@ def _across(along: np.ndarray) -> np.ndarray:
 
 
 def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
-    """`ladder` with the centres of its strokes by the centroid of `light` (H, W) across them, to `reach` [px] on either
-    side of each line, and one direction for all: ridges of lines a pixel wide lean towards the pixels' axes."""
+    """`ladder` with its strokes centred on the centroid of `light` (H, W) across them, to `reach` [px] on either side
+    of each line. All get one direction, since ridges of lines a pixel wide lean towards rows or columns."""
     strokes = ladder.strokes
     reach += ladder.apart / 2
     share = np.linspace(-0.42, 0.42, PROFILES)
@@ -189,7 +191,7 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     over = np.maximum(seen - seen[..., :1] * (1 - rise) - seen[..., -1:] * rise, 0)
     mass = over.sum(-1)
     centroid = (over * offset).sum(-1) / np.maximum(mass, 1e-6)
-    # Each stroke's line by weighted least squares about its middle; the slope of all is their median.
+    # The line of each stroke by weighted least squares about its middle; their median slope is that of all.
     weight = mass / np.maximum(mass.sum(1, keepdims=True), 1e-6)
     middle, height = (weight * t).sum(1), (weight * centroid).sum(1)
     off = t - middle[:, None]
@@ -206,7 +208,8 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
 
 
 def crowded(ladder: Ladder, strokes: Strokes) -> float:
-    """Share of the gaps of `ladder` in which another of `strokes` runs beside its own: then the pitch is another."""
+    """Share of the gaps of `ladder` in which another of `strokes` runs beside its own. If it is large, the pitch is
+    wrong."""
     off = strokes.centre - ladder.strokes.centre[0]
     first = float(ladder.strokes.centre[0] @ ladder.across)
     place = (strokes.centre @ ladder.across - ladder.row.start) / ladder.row.period
@@ -215,7 +218,7 @@ def crowded(ladder: Ladder, strokes: Strokes) -> float:
         (np.abs(strokes.along @ ladder.along) > RUNGS_PARALLEL) & (phase > BETWEEN_RUNGS) & (phase < 1 - BETWEEN_RUNGS)
     )
     among &= (number >= 0) & (number < ladder.row.number[-1]) & (strokes.length > 0.5 * ladder.length)
-    # Where the ladder's own strokes are at that place, for a slanted row.
+    # Where the ladder's own strokes lie at that place; they are shifted if the row is slanted.
     own = (ladder.strokes.centre - ladder.strokes.centre[0]) @ ladder.along
     there = np.interp(strokes.centre @ ladder.across - first, (ladder.strokes.centre @ ladder.across) - first, own)
     among &= np.abs(off @ ladder.along - there) < RUNGS_BESIDE * ladder.length
@@ -224,9 +227,9 @@ def crowded(ladder: Ladder, strokes: Strokes) -> float:
 
 @dataclass(frozen=True)
 class LadderLevels:
-    """Colours on and around a ladder, medians along each stroke. paint, ground : (M, 3) and (M - 1, 3) on the strokes
-    and midway between neighbours. beside : (2, M, 3) left and right of the strokes. beyond : (2, M, 3) on their axes
-    past both ends."""
+    """Colours on and around a ladder, the median along each stroke. paint : (M, 3) on the strokes. ground : (M - 1, 3)
+    midway between neighbours. beside : (2, M, 3) left and right of the strokes. beyond : (2, M, 3) on their axes past
+    both ends."""
 
     paint: np.ndarray
     ground: np.ndarray
@@ -235,7 +238,8 @@ class LadderLevels:
 
 
 def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> LadderLevels:
-    """Of RGB uint8 `image`; how far `aside` of the strokes' lines and `past` their ends [px]."""
+    """Colours of RGB uint8 `image` on and around `ladder`. aside, past : how far beside the strokes' lines and past
+    their ends [px]."""
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
     ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])

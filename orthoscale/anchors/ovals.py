@@ -1,8 +1,8 @@
 """Whole running tracks, by the length of their inner edge.
 
-400 m are run 0.30 m outside of it, whatever the radius of the bends and the length of the straights. Edges of the right
-curvature vote for the centres of bends (Hough; Duda and Hart 1972); two that fit together make an oval, which is fitted
-to the edge. The lanes show that it is the inner edge: a band of one colour outside of it.
+The 400 m are measured 0.30 m outside of it, whatever the radius of the bends and the length of the straights. Edges of
+the right curvature vote for the centres of bends (Hough; Duda and Hart 1972). Two bends that fit together make an oval,
+which is fitted to the edge. The lanes, a band of one colour outside of it, show that it is the inner edge.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ OVAL = Standard(
 OVAL_FALSE = 0.03
 SEARCHED_OVAL = 0.6  # [m/px] of the search
 RADII = 30.0, 45.0  # [m] of bends
-STRAIGHT = 1.5, 3.2  # of the radius: 2.31 by the rule
-VOTING_EDGE = 1.5  # of the mean gradient around
-AROUND_PX = 31  # [px]
-OVAL_BIN = 3  # [px] side of a cell of middles
-BEND_SEEN = 0.16  # of a whole circle; a bend is half
+STRAIGHT = 1.5, 3.2  # limits of the straights in radii: 2.31 by the rule
+VOTING_EDGE = 1.5  # of the mean gradient around: least gradient of an edge that votes
+AROUND_PX = 31  # [px] side of the square for that mean
+OVAL_BIN = 3  # [px] side of an accumulator cell
+BEND_SEEN = 0.16  # of a whole circle: least votes for a bend, which is half of one
 MOST_BENDS = 60
-OVAL_SAMPLES = 240  # along an oval
-SEEN_OVAL = 0.45  # of the oval on edges that run along it, before the fit ...
+OVAL_SAMPLES = 240  # points along an oval
+SEEN_OVAL = 0.45  # least share of the oval on edges that run along it, before the fit ...
 FITTED_OVAL = 0.7  # ... and after, close to it
-ALONG_EDGE = 0.9  # cosine of the angle between an edge's normal and the oval's
+ALONG_EDGE = 0.9  # least cosine of the angle between an edge's normal and the oval's
 WINDOWS_OVAL = (4.0, 2.0, 1.0, 0.8)  # [m] about the oval where its edge is looked for, round by round
 BAND = 3.6, 12.5  # [m] width of the lanes: 3 to 10
-BAND_EVEN = 0.5  # of the step at the inner edge, by which colours may stray within the lanes, one sigma
-EDGE_STEP = 10.0  # [grey levels] at the inner edge, mean over the oval
+BAND_EVEN = 0.5  # of the step at the inner edge: most that colours may scatter within the lanes, one sigma
+EDGE_STEP = 10.0  # [grey levels] least step at the inner edge, median over the oval
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class Oval:
 
     @property
     def length(self) -> float:
-        """All round [px]."""
+        """Perimeter [px]."""
         return float(2 * self.straight + 2 * np.pi * self.radius)
 
     def points(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evenly on it (count, 2) [px], unit normals outwards (count, 2), and on which half each lies along the
-        straights' direction: -1 or 1 in the bends, 0 on the straights."""
+        """Evenly spaced points (count, 2) [px], outward unit normals (count, 2), and the half on which each lies along
+        the straights' direction: -1 or 1 in the bends, 0 on the straights."""
         s = (np.arange(count) + 0.5) / count * self.length
         bend = np.pi * self.radius
         part = np.searchsorted(np.cumsum([self.straight, bend, self.straight]), s)
@@ -121,14 +121,14 @@ class TrackOvals:
 
 
 def _gradients(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) each: along x and y of the channel that changes most."""
+    """(H, W) each: gradients along x and y, of the channel that changes most."""
     gx, gy = (cv2.Sobel(cv2.GaussianBlur(image, (0, 0), 1.0), cv2.CV_32F, *d, ksize=3) for d in ((1, 0), (0, 1)))
     most = (gx**2 + gy**2).argmax(2)[..., None]
     return np.take_along_axis(gx, most, 2)[..., 0], np.take_along_axis(gy, most, 2)[..., 0]
 
 
 def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
-    """Ovals of a length from `low` to `high` [px] that edges of `image` lie on, those first that most do."""
+    """Ovals with a perimeter from `low` to `high` [px] that lie on edges of `image`, those with most edges first."""
     gx, gy = _gradients(image)
     size = cv2.magnitude(gx, gy)
     clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
@@ -173,8 +173,8 @@ def _seen(gx: np.ndarray, gy: np.ndarray, clear: np.ndarray, oval: Oval) -> floa
 
 
 def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray, float] | None:
-    """The oval whose edge is near a first one, how far edges are from it [px], and the relative one sigma of its length
-    by that; None where there is no edge of one sense nearly all round."""
+    """The oval fitted to the edges near a first one, the distances of edges from it [px], and the relative one sigma of
+    its length by these; None where there is no edge with the same change of colour nearly all round."""
     light = image.astype(np.float32)
     for window in WINDOWS_OVAL:
         reach = max(window / gsd, 1.5)
@@ -182,7 +182,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
         place, normal, half = oval.points(OVAL_SAMPLES)
         seen = values(light, place[:, None] + offset[:, None] * normal[:, None])
         slope = np.gradient(seen, axis=1)
-        # the change of colour that the whole oval shows: edges count by how much of it they have
+        # the mean change of colour along the whole oval: edges count by how much of it they show
         change = slope.mean(0)
         middle = np.abs(offset) <= reach
         colour = change[middle][np.linalg.norm(change[middle], axis=1).argmax()]
@@ -232,7 +232,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
 
 
 def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:
-    """Whether a band of one colour as wide as lanes lies outside of `oval`, and another colour inside."""
+    """Whether a band of one colour, as wide as lanes, lies outside of `oval`, and another colour inside."""
     offset = np.arange(-3.0, BAND[1] + 3.0, 0.25)  # [m]
     place, normal, _ = oval.points(OVAL_SAMPLES)
     seen = np.median(values(image, place[:, None] + offset[:, None] / gsd * normal[:, None]), axis=0)
@@ -241,7 +241,7 @@ def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:
     size = float(np.linalg.norm(step))
     if size < EDGE_STEP:
         return False
-    # how much each place is of the lanes' colour rather than of what is inside
+    # 0 for the colour inside, 1 for the lanes' colour
     share = (seen - inside) @ step / size**2
     out = offset > 1
     end = np.flatnonzero(out & ((share < 0.5) | (share > 2.0)))

@@ -1,8 +1,8 @@
 """Padel courts, by their service lines within the walls.
 
-Three lines are common elsewhere: in nets of joints, within tennis courts. But a padel court is also a single artificial
-turf that ends at its walls, 10 m to either side of the net and 5 m to either side of the central line, and nothing else
-is painted on it.
+Three such lines are common elsewhere: in grids of joints, within tennis courts. But a padel court is also one piece of
+artificial turf that ends at its walls, 10 m to either side of the net and 5 m to either side of the central line, and
+nothing else is painted on it.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from .courts import ALONG_SD, EVEN, CourtLook, evidence, overlap
 from .strokes import values
 
 PADEL_SEARCHED = 0.15  # [m/px] of the search: its lines are no longer than seeds are at 0.3
-PADEL_EVEN = 0.5  # evidence of its lines, at least: its walls speak, too
-PADEL_LINE_SEEN = 0.5  # of each line
+PADEL_EVEN = 0.5  # least evidence of its lines: its walls are evidence, too
+PADEL_LINE_SEEN = 0.5  # least share of each line that is seen
 PADEL_FALSE = 0.05
-PADEL_COARSE = 0.08  # by the squared GSD [m/px], one sigma of the size: shadows end beside lines. From drawn courts
+PADEL_COARSE = 0.08  # times the squared GSD [m/px]: relative 1 sigma as shadows end beside lines. From drawn courts
 HALF_LENGTH, HALF_WIDTH = 10.0, 5.0  # [m] to the inside of the walls
-FEWEST_WALLS = 3  # of four: neighbours may share one
+FEWEST_WALLS = 3  # of four that must be seen: neighbours may share one
 WALL_OFF, WALL_OFF_PX = 0.25, 0.6  # [m] and [px] by which a border may lie off its wall
-WALL_INSIDE, WALL_OUTSIDE = 1.5, 1.0  # [m] from the wall, where the border is looked for
+WALL_INSIDE, WALL_OUTSIDE = 1.5, 1.0  # [m] from the wall, between which the border is searched
 WALL_CORNER = 1.0  # [m] of each wall's ends that are left out
-WALL_SEEN = 0.7  # of a wall has the border where it must be
-WALL_TOGETHER = 5  # steps along a wall that are seen as one, for noise
-WALL_STEP = 0.5  # [m] along walls and within the court, from one look to the next
+WALL_SEEN = 0.7  # least share of a wall with the border where it must be
+WALL_TOGETHER = 5  # steps along a wall that are averaged against noise
+WALL_STEP = 0.5  # [m] between samples along walls and within the court
 CLEAR_OF_PAINT = 0.5  # [m] from lines, net and walls: there is nothing but turf
-TURF_COLOURED = 0.09  # least share of all light by which turf's strongest channel is above its weakest
+TURF_COLOURED = 0.09  # least difference between turf's strongest and weakest channel, as a share of all light
 TURF_ENDS = 0.03  # least change of the channels' shares of light at a border
-TURF_EVEN = 0.8  # of the turf is nearer to its own colour than to that beyond the borders
+TURF_EVEN = 0.8  # least share of the turf that is nearer to its own colour than to that beyond the borders
 
 
 @dataclass(frozen=True)
 class PadelCourts:
-    """Finds padel courts (an `AnchorFinder`); of a user's `standards` the service lines are so far apart."""
+    """Finds padel courts (an `AnchorFinder`). The `standards` give the distance between the service lines."""
 
     kind = "padel court"
     standards: tuple[Standard, ...] = (PADEL_COURT.standard,)
@@ -59,7 +59,7 @@ class PadelCourts:
         if image.ndim != 3 or min(image.shape[:2]) < HALF_LENGTH / gsd:
             return []
         look = CourtLook(image, gsd, gsd_sd, PADEL_SEARCHED)
-        # The lines of neighbours make H's, too, as clear as their own.
+        # The lines of two neighbouring courts also form an H, as clear as that of each court.
         fits = [replace(fit, across=fit.along) for fit in look.fits(PADEL_COURT, sure=1.0)]
         lined = [fit for fit in fits if evidence(fit) > PADEL_EVEN and fit.seen.min() > PADEL_LINE_SEEN]
         if not lined:
@@ -76,7 +76,7 @@ class PadelCourts:
         return [self._anchor(fit) for fit in kept if fit.court is PADEL_COURT]
 
     def _anchor(self, fit: CourtFit) -> Anchor:
-        # Across the court no line says how long a metre is.
+        # No line gives the scale across the court.
         own = np.sqrt(fit.along_sd**2 + ALONG_SD**2 + (PADEL_COARSE / fit.along**2) ** 2)
         return Anchor(
             kind=self.kind,
@@ -91,7 +91,7 @@ class PadelCourts:
 
 
 def _shares(image: np.ndarray) -> np.ndarray:
-    """(H, W, 3) float32: each channel's share of all light. Shadows of walls change it little."""
+    """(H, W, 3) float32: each channel's share of all light, which shadows of walls hardly change."""
     light = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32) + 1.0
     return light / light.sum(2, keepdims=True)
 
@@ -114,7 +114,7 @@ def _is_walled_turf(shares: np.ndarray, fit: CourtFit) -> bool:
 
 
 def _border(shares: np.ndarray, fit: CourtFit, turf: np.ndarray, side: int) -> float:
-    """By how much the colour changes where turf ends at one of the four walls; 0 where it does not end there."""
+    """How much the colour changes where the turf ends at one of the four walls; 0 where it does not end there."""
     length, wall = (HALF_WIDTH, HALF_LENGTH) if side % 2 else (HALF_LENGTH, HALF_WIDTH)
     along = np.arange(-length + WALL_CORNER, length - WALL_CORNER + 0.01, WALL_STEP)
     out = np.arange(-WALL_INSIDE, WALL_OUTSIDE, max(0.05, 0.3 / fit.along))

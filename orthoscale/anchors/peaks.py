@@ -1,4 +1,4 @@
-"""Peaks between samples, and votes for the middles of circles."""
+"""Peaks between samples, and votes for the centres of circles."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 
 def peak_shift(left: np.ndarray, middle: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """How far the top of the parabola through three samples lies from the `middle` one, in steps from one sample to the
-    next, towards `right`; at most one step, and 0 where it has no top. All of one shape."""
+    """Distance of the vertex of the parabola through three samples from the `middle` one, in sample steps, positive
+    towards `right`; at most one step, and 0 where there is no maximum. All arrays have one shape."""
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
     return np.clip(shift, -1, 1)
@@ -20,7 +20,7 @@ def circle_votes(
     shape: tuple[int, int],
     cell: int,
 ) -> np.ndarray:
-    """(H / cell, W / cell) float32: how many points are `radius` [px] from a middle in each cell (Hough; Duda and Hart
+    """(H / cell, W / cell) float32: how many points are `radius` [px] from a centre in each cell (Hough; Duda and Hart
     1972). place : x and y (N,) [px], normal : x and y (N,) of the unit vectors across the circle there. shape : (H, W)
     of the picture [px]. cell : side of a cell [px]."""
     (x, y), (nx, ny) = place, normal

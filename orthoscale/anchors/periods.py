@@ -9,18 +9,18 @@ from scipy.special import gammaln, stdtrit
 
 from ..core.pooling.posterior import Z90
 
-NEAR_PLACE = 0.12  # of the period: what is further from its place in the row is none of the row
-ROW_ROUNDS = 3  # of fitting, each with what the one before put in the row
-FINEST_SCATTER = 0.005  # of the period: what scatters less was not built, or measured, better
-MISSING_IN_A_ROW = 2  # in a row at most; beyond, it is another row
+NEAR_PLACE = 0.12  # of the period: a thing farther from its place does not belong to the row
+ROW_ROUNDS = 3  # of fitting, each with the things that the one before found near the row
+FINEST_SCATTER = 0.005  # of the period: a smaller scatter is luck, as nothing is built or measured more exactly
+MISSING_IN_A_ROW = 2  # most in succession; beyond, another row begins
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of things. period : [px]. start : the place of number 0 [px]. member : (M,) which things. number : (M,)
-    their numbers, ascending, from 0. residual : (M,) how far they are from their places [px]. sd : of the period [px],
-    of the normal distribution with its 90 % interval.
-    strays : how many more were near their places, and were taken for others.
+    """A row of things. period : [px]. start : the place of number 0 [px]. member : (M,) indices of the things. number :
+    (M,) their numbers in the row, ascending, from 0. residual : (M,) their distances from their places [px]. sd : of
+    the period [px], that of the normal distribution with the same 90 % interval.
+    strays : how many more things were near a place but were left out.
     """
 
     period: float
@@ -38,15 +38,16 @@ class Row:
 
     @property
     def scatter(self) -> float:
-        """Root mean square of the residuals, as a share of the period, two parameters having been fitted."""
+        """Root mean square of the residuals for two fitted parameters, as a share of the period."""
         return float(np.sqrt((self.residual**2).sum() / max(len(self.residual) - 2, 1))) / self.period
 
     @property
     def regularity(self) -> float:
-        """How much less likely chance is to put so many things so near their places, natural logarithm of the ratio.
+        """Natural logarithm of the likelihood ratio of a row to chance, which seldom puts so many things so near their
+        places.
 
-        By chance a thing is anywhere among those taken for near, of which one sigma is the half width over sqrt(3).
-        Chance has as many tries as there are choices of the strays.
+        By chance a thing lies anywhere within NEAR_PLACE of its place, with one sigma of NEAR_PLACE / sqrt(3). Chance
+        has as many tries as there are choices of the strays.
         """
         n = len(self.number)
         tries = gammaln(n + self.strays + 1) - gammaln(n + 1) - gammaln(self.strays + 1)
@@ -54,11 +55,13 @@ class Row:
 
 
 def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | None:
-    """The longest row in `place` (N,) [px] of a period from `low` to `high` [px]; None of fewer than `fewest` things.
+    """The best row in `place` (N,) [px] with a period from `low` to `high` [px]; None if it has fewer than `fewest`
+    things.
 
-    The period starts where the places' spectrum, mean of exp(2 pi i place / period), is strongest; least squares over
-    the numbered places follow. A row ends where more than two are missing. A stripe half under a vehicle is seen beside
-    its place: what makes a row less regular than chance would is left out of it.
+    The three strongest values of the spectrum, the sum of exp(2 pi i place / period), give first guesses of the period;
+    least squares over the numbered places follow. A row ends where more than two things in succession are missing. A
+    stripe half under a vehicle is seen beside its place: such strays are left out where that makes the row more
+    regular.
     """
     if len(place) < fewest:
         return None
@@ -78,7 +81,8 @@ def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | N
 
 
 def _worth(row: Row) -> float:
-    """Of two rows in the same things the better: more things, fewer missing, closer to their places."""
+    """How good a row is, to choose among rows of the same things: more things, fewer missing, closer to their
+    places."""
     return len(row.number) * row.filled * (1 - (row.scatter / NEAR_PLACE))
 
 
@@ -90,7 +94,7 @@ def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row 
         if len(near) < fewest:
             return None
         near = near[np.lexsort((away[near], number[near]))]
-        near = near[np.diff(number[near], prepend=-np.inf) > 0]  # of those at one place the closest
+        near = near[np.diff(number[near], prepend=-np.inf) > 0]  # only the closest to each place
         run = np.concatenate([[0], np.cumsum(np.diff(number[near]) > MISSING_IN_A_ROW + 1)])
         near = near[run == np.bincount(run).argmax()]
         if len(near) < fewest:
@@ -103,7 +107,8 @@ def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row 
 
 
 def _without_strays(row: Row, place: np.ndarray, fewest: int) -> Row:
-    """`row` without what strays most from the places that the others give it, as long as that makes it more regular."""
+    """`row` without the things farthest from the places that the others predict, as long as that makes it more
+    regular."""
     while len(row.number) > fewest:
         off = row.number - row.number.mean()
         leverage = 1 / len(off) + off**2 / (off**2).sum()
@@ -119,8 +124,8 @@ def _without_strays(row: Row, place: np.ndarray, fewest: int) -> Row:
 
 
 def fit_row(place: np.ndarray, number: np.ndarray, strays: int = 0) -> Row:
-    """The row of all things at `place` (M,) [px] whose numbers (M,) are known, by least squares; `strays` more were
-    left out of it."""
+    """The row of all things at `place` (M,) [px] with known numbers (M,), by least squares; `strays` more were left
+    out."""
     k = number - number[0]
     spread = ((k - k.mean()) ** 2).sum()
     period = float(((k - k.mean()) * place).sum() / spread)
@@ -128,7 +133,7 @@ def fit_row(place: np.ndarray, number: np.ndarray, strays: int = 0) -> Row:
     residual = place - start - period * k
     free = max(len(k) - 2, 1)
     sd = float(np.sqrt((residual**2).sum() / free / spread))
-    # Few things may scatter by less than their kind, and a stray that was the row's own takes its scatter along:
-    # without the last factor the intervals of simulated rows with a stray hold the period in 30 to 60 %.
+    # Student's t, since few things may happen to scatter too little. A stray that did belong to the row takes its
+    # scatter with it: without the last factor, intervals of simulated rows with a stray hold the period in 30 to 60 %.
     sd *= float(stdtrit(free, 0.95)) / Z90 * (1 + strays)
     return Row(period, start, np.arange(len(k)), k, residual, sd, strays)

@@ -22,8 +22,8 @@ from .rules import sizes, within_reach
 from .strokes import values
 
 HEAD = 0.072  # [m] width of a rail's head: 60E1 of EN 13674-1; R65 of GOST 51685 has 0.075, 136RE of AREMA 0.0746
-# [m] one sigma of the distance between what is seen of both heads, half a polished strip to either side, and of how far
-# a track in use is off its gauge (EN 13848-5: some mm).
+# [m] one sigma of the distance between the visible parts of both heads, by half a polished strip to either side, and by
+# how far a track in use is off its gauge (EN 13848-5: some mm).
 HEAD_SEEN = 0.015
 
 # Gauge [m], its prior where the country is not known, and the countries whose main lines have it.
@@ -41,35 +41,35 @@ GAUGES = (
      "metre gauge; Wikipedia, Bangladesh Railway, beside 1.676 m"),
 )  # fmt: skip
 # Vietnam: Wikipedia, Transport in Vietnam: in the north, beside 1.000 m.
-STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE AU VN"  # where lines of standard gauge were built beside
+STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE AU VN"  # which also have lines of standard gauge
 
-RAIL_FALSE = 0.05  # with sleepers; none was counted on real pictures without rails, see benchmarks
+RAIL_FALSE = 0.05  # with sleepers; none was found on real pictures without rails, see benchmarks
 RAIL_FALSE_WITHOUT = 0.15  # with a second track only
 
 RAIL_SEED = 0.3  # least mean ridge of a piece of a rail
 RAIL_PARALLEL = np.radians(2.5)  # between two pieces of one track
-STARTS = 150  # per megapixel, the pairs that most others continue
-CONTINUED = 2  # pairs, at least, that go on where one ends
+STARTS = 150  # pairs per megapixel, those that most others continue
+CONTINUED = 2  # least number of pairs that continue a pair in its line
 BLOCK = 3.0  # [m] of track whose cross section is taken at once
-RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # of the ridge filter across [m] and [px]
-RAIL_WINDOW = 0.1  # of the distance: how far from their places rails are looked for
-RAIL_CLEAR = 2.5  # noises of the cross section
-RAIL_MISSING = 2  # blocks in a row
+RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # least one sigma of the ridge filter [m] and [px]
+RAIL_WINDOW = 0.1  # of the distance between rails: how far from their places they are searched
+RAIL_CLEAR = 2.5  # [sigmas of the noise] least ridge of the weaker rail in a cross section
+RAIL_MISSING = 2  # most blocks in succession
 FEWEST_RAIL_BLOCKS = 8
-RAIL_FILLED = 0.75  # of the blocks
-RAIL_UNEVEN = 0.02  # of the distance: scatter of the blocks' own, one sigma; rails keep it to some mm
-RAIL_ALONE = 0.6  # of the rails' ridge: what is stronger between them and beside is a third line ...
-RAIL_CROWDED = 0.35  # ... which so many of the blocks may have
-CLOSE_BESIDE, FARTHEST_BESIDE = 0.9, 1.6  # distances from the middle, where that is asked
+RAIL_FILLED = 0.75  # least share of the blocks tried that show two rails
+RAIL_UNEVEN = 0.02  # of the distance: most that it may scatter over the blocks, one sigma; rails keep it to some mm
+RAIL_ALONE = 0.6  # of the weaker rail's ridge: a stronger ridge between or beside the rails is a third line ...
+RAIL_CROWDED = 0.35  # ... which at most this share of the blocks may have
+CLOSE_BESIDE, FARTHEST_BESIDE = 0.9, 1.6  # [distances of rails] from the middle: limits of where that is searched
 RAIL_SAME_GROUND = 22.0  # [grey levels] by which the ground may differ between the rails and outside
 SLEEPERS = 0.48, 0.72  # [m] period: 0.60 to 0.65 in Europe, 0.50 to 0.55 under wood in America and Russia
-SLEEPER_PEAK = 5.0  # times the median of the spectrum of what lies between the rails
+SLEEPER_PEAK = 5.0  # least peak, in medians of the spectrum of what lies between the rails
 TRACKS_APART = 3.3, 6.5  # [m] between the middles of two tracks
-ALIKE_TRACKS = 0.02  # relative difference of their distances
+ALIKE_TRACKS = 0.02  # largest relative difference of the distances between their rails
 
 
 def _standards() -> tuple[Standard, ...]:
-    """Standard gauge everywhere but where main lines have another, and the others there."""
+    """Standard gauge everywhere except where main lines have another, and those others there."""
     found = []
     for gauge, prior, countries, source in GAUGES:
         metres = gauge + HEAD
@@ -83,10 +83,11 @@ def _standards() -> tuple[Standard, ...]:
 
 @dataclass(frozen=True)
 class Track:
-    """Blocks (B,) of a track. middle : (B, 2) [px]. along : (B, 2) unit vectors. apart : (B,) [px] between the rails.
-    third : (B, 2) strongest ridge between the rails and close beside them, and out to where a second track may begin,
-    as shares of the weaker rail's. ground : (B, 3) levels left, between, right.
-    tried : blocks that were asked."""
+    """Blocks (B,) of a track. middle : (B, 2) [px]. along : (B, 2) unit vectors. apart : (B,) distance between the
+    rails [px]. third : (B, 2) strongest other ridge between the rails and close beside them, and the same out to where
+    a second track may begin, as shares of the weaker rail's. ground : (B, 3) grey levels left of, between and right of
+    the rails.
+    tried : number of blocks looked at."""
 
     middle: np.ndarray
     along: np.ndarray
@@ -97,7 +98,7 @@ class Track:
 
     @property
     def distance(self) -> float:
-        """Between the rails [px]."""
+        """Median distance between the rails [px]."""
         return float(np.median(self.apart))
 
     @property
@@ -107,11 +108,11 @@ class Track:
 
     @property
     def distance_sd(self) -> float:
-        """One sigma of `distance`, as a share of it: that of a median of independent blocks."""
+        """Relative one sigma of `distance`, as the median of independent blocks."""
         return OF_MEDIAN * self.scatter / float(np.sqrt(len(self.apart)))
 
     def lines(self) -> np.ndarray:
-        """(2 (B - 1), 2, 2) both rails, from block to block [px]."""
+        """(2 (B - 1), 2, 2) lines of both rails, from block to block [px]."""
         across = np.stack([-self.along[:, 1], self.along[:, 0]], -1) * self.distance / 2
         return np.concatenate(
             [np.stack([rail[:-1], rail[1:]], 1) for rail in (self.middle + s * across for s in (-1, 1))]
@@ -156,7 +157,7 @@ class RailTracks:
 
 
 def _tracks(light: np.ndarray, low: float, high: float, gsd: float) -> list[Track]:
-    """Those whose rails are brighter than what is beside them, `low` to `high` [px] apart."""
+    """Tracks whose rails are brighter than their surroundings and `low` to `high` [px] apart."""
     pairs = _pairs(segments(steered(light), RAIL_SEED), low, high, round(STARTS * light.size / 1e6))
     left = np.ones(len(pairs), bool)
     found: list[Track] = []
@@ -175,8 +176,8 @@ def _tracks(light: np.ndarray, low: float, high: float, gsd: float) -> list[Trac
 
 
 def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
-    """(N, 4) middle x, y [px], angle [rad] and distance [px] of parallel pieces side by side that others continue, the
-    most continued first."""
+    """(N, 4) middle x, y [px], angle [rad] and distance [px] of pairs of parallel pieces side by side that other pairs
+    continue; those that most continue first."""
     if len(seeds.angle) < 2:
         return np.zeros((0, 4))
     pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(high, SEED_PX / 2)), output_type="ndarray")
@@ -190,7 +191,7 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
     if not len(pair):
         return np.zeros((0, 4))
     middle = seeds.middle[pair].mean(1)
-    # one place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, counts as half the reach
+    # pairs alike in place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, is half the reach
     reach = 2.5 * SEED_PX
     by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
     place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
@@ -207,7 +208,7 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
 
 
 def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, gsd: float) -> Track | None:
-    """The track through `start` [px], both ways from there; None of too few blocks."""
+    """The track through `start` [px], followed both ways; None if it has too few blocks."""
     step = BLOCK / gsd
     first = _block(light, start, angle, apart, step, gsd)
     if first is None:
@@ -244,7 +245,7 @@ def _block(
     light: np.ndarray, place: np.ndarray, angle: float, apart: float, length: float, gsd: float
 ) -> tuple[np.ndarray, float, tuple[float, float], np.ndarray] | None:
     """A piece of track about `place`: its middle, the rails' distance [px], the strongest other ridges and the ground,
-    as `Track` has them; None where there are no two rails."""
+    as in `Track`; None where two rails are not seen."""
     unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     sd = max(RAIL_SD / gsd, RAIL_SD_PX)
     reach = np.ceil(FARTHEST_BESIDE * apart * 4)
@@ -275,7 +276,7 @@ def _block(
 
 
 def _is_track(track: Track) -> bool:
-    """Whether two lines keep their distance, alone, on one ground."""
+    """Whether the two lines keep their distance, with no third line close by, on uniform ground."""
     if len(track.apart) < FEWEST_RAIL_BLOCKS or len(track.apart) < RAIL_FILLED * track.tried:
         return False
     ground = np.median(track.ground, axis=0)
@@ -287,12 +288,12 @@ def _is_track(track: Track) -> bool:
 
 
 def _is_alone(track: Track, out: int) -> bool:
-    """Whether there is no third line, close beside (`out` is 0) or out to where a second track may begin (1)."""
+    """Whether there is no third line close by (`out` is 0), or out to where a second track may begin (`out` is 1)."""
     return bool(np.mean(track.third[:, out] > RAIL_ALONE) <= RAIL_CROWDED)
 
 
 def _has_sleepers(light: np.ndarray, track: Track, standards: Sequence[Standard]) -> bool:
-    """Whether what lies between the rails repeats at a period that sleepers have."""
+    """Whether the picture between the rails repeats at the period of sleepers."""
     steps = np.linalg.norm(np.diff(track.middle, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(steps)])
     s = np.arange(0, at[-1], 0.5)

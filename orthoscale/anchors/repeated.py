@@ -1,4 +1,4 @@
-"""The anchor that a row of equal objects at one period makes."""
+"""A row of equal objects at one period as an anchor."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..core.anchors import Anchor, Standard
 from .periods import Row
 from .strokes import Strokes
 
-LOCAL_STRETCH = 0.004  # one sigma by which orthophotos stretch locally: tennis courts on 100 American ones
+LOCAL_STRETCH = 0.004  # relative one sigma of the local stretch of orthophotos: from tennis courts on 100 American ones
 
 
 class Repeated(Protocol):
     """Equal `strokes` at one period.
 
-    row : how they follow each other. relative_sd : one sigma of the period, by the fit.
+    row : their places in order. relative_sd : relative one sigma of the period, by the fit.
     """
 
     @property
@@ -27,7 +27,7 @@ class Repeated(Protocol):
     def relative_sd(self) -> float: ...
 
     def lines(self) -> np.ndarray:
-        """(N, 2, 2) of the fitted model, from end to end [px]."""
+        """(N, 2, 2) lines of the fitted model, from end to end [px]."""
         ...
 
 

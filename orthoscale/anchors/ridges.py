@@ -1,9 +1,9 @@
 """Bright thin lines in a picture: how strong they are in each direction, and where long straight ones run.
 
 A ridge is where the second derivative across is strongly negative and that along is not (Lindeberg 1998, edge and ridge
-detection; steered as by Freeman and Adelson 1991). It is divided by the local mean of its kind, so that paint on grey
-asphalt counts as much as on green asphalt next to a white roof. Sums along all straight lines of a strip come from the
-fast discrete Radon transform (Brady 1998), which takes log2(n) additions a pixel and slope.
+detection; steered as by Freeman and Adelson 1991). It is divided by the local mean size of second derivatives, so that
+paint on grey asphalt counts as much as on green asphalt next to a white roof. Sums along all straight lines of a strip
+come from the fast discrete Radon transform (Brady 1998), which takes log2(n) additions per pixel and slope.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-BLUR_PX = 0.9  # [px] of the derivatives: of a line one pixel wide nothing is lost, of noise most
-DIRECTIONS = 8  # steered maps over half a turn: a line is at most 11 degrees off one, where 0.94 of it is left
+BLUR_PX = 0.9  # [px] one sigma of smoothing for the derivatives: keeps a line one pixel wide, removes most noise
+DIRECTIONS = 8  # steered maps over half a turn: a line is at most 11 degrees off one and keeps 0.94 of its strength
 CLEAR_RIDGE = 120  # a ridge of full strength in the maps, which are int8
-SEED_PX = 32  # [px] rows of a strip, the shortest straight line that is a seed
-SURROUNDINGS = 24  # [px] one sigma of what counts as local
-FLOOR = 0.35  # [grey levels] least local mean: below is compression and rounding
-STRONGEST = 1.6  # in units of the local mean: from here on a ridge is a full one
+SEED_PX = 32  # [px] rows of a strip: the length of a seed along rows or columns
+SURROUNDINGS = 24  # [px] one sigma of the window for the local mean
+FLOOR = 0.35  # [grey levels] least local mean: below it are compression and rounding
+STRONGEST = 1.6  # [local means] from which on a ridge has full strength
 
 
 def lightness(image: np.ndarray) -> np.ndarray:
-    """(H, W) float32 of RGB uint8 (H, W, 3): half the mean, half the least channel. White paint stands out of grey
-    ground by the one, out of coloured ground by the other."""
+    """(H, W) float32 of RGB uint8 (H, W, 3): the mean of brightness and the darkest channel. White paint stands out
+    from grey ground by the former, from coloured ground by the latter."""
     least = np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2])
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32) * 0.5 + least.astype(np.float32) * 0.5
 
 
 def steered(light: np.ndarray) -> np.ndarray:
-    """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen;
-    CLEAR_RIDGE is a clear one, negative a dark line or the flank of a bright one. light : (H, W) float32."""
+    """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen.
+    CLEAR_RIDGE is a clear ridge; a dark line, or the flank of a bright one, is negative. light : (H, W) float32."""
     smooth = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
     xx, xy, yy = (cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=0.25) for dx, dy in ((2, 0), (1, 1), (0, 2)))
     size = cv2.sqrt(xx * xx + yy * yy + 2 * xy * xy)
@@ -43,7 +43,7 @@ def steered(light: np.ndarray) -> np.ndarray:
     for k in range(DIRECTIONS // 2):
         turn = 2 * np.pi * k / DIRECTIONS
         bend = half * np.float32(np.cos(turn)) + cross * np.float32(np.sin(turn))
-        # second derivatives across and along a line at half this angle; those of one at right angles change places
+        # second derivatives across and along a line at half this angle; for a line at right angles they swap
         one, other = mean + bend, mean - bend
         for direction, across, along in ((k, one, other), (k + DIRECTIONS // 2, other, one)):
             ridge = across - 0.5 * np.maximum(along, 0)
@@ -63,8 +63,8 @@ class Segments:
 
 
 def _sums(ridge: np.ndarray) -> np.ndarray:
-    """(strips, SEED_PX, W + 2 SEED_PX) sums over the lines that start at column s - SEED_PX of a strip's first row and
-    end at column s - SEED_PX + d of its last, over d and s; strips begin every SEED_PX / 2 rows."""
+    """(strips, SEED_PX, W + 2 SEED_PX) sums along lines, by strip, d and s: a line starts at column s - SEED_PX of the
+    strip's first row and ends at column s - SEED_PX + d of its last. Strips begin every SEED_PX / 2 rows."""
     height, width = ridge.shape
     rows = max(-(-height // SEED_PX), 1) * SEED_PX
     now = np.zeros((rows, 1, width + 2 * SEED_PX), np.int16)
@@ -85,7 +85,7 @@ def _sums(ridge: np.ndarray) -> np.ndarray:
 
 def segments(maps: np.ndarray, least: float) -> Segments:
     """All straight pieces of SEED_PX rows, or columns, whose mean ridge in `maps` (of `steered`) is at least `least`
-    and the greatest among their like."""
+    and greater than that of similar lines."""
     found: list[np.ndarray] = []
     quarter = DIRECTIONS // 8
     for turned in (False, True):

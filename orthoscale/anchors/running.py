@@ -12,7 +12,7 @@ from .combs import Block, Comb, comb_anchor, find_combs, pitch
 from .ridges import SEED_PX, lightness
 from .rules import sizes, within_reach
 
-LANE_BUILT = 0.008  # one sigma of a track's mean lane about its rule: World Athletics allows 0.01 m in 1.22
+LANE_BUILT = 0.008  # relative one sigma of a track's mean lane about its rule: World Athletics allows 0.01 m in 1.22
 
 LANES = (
     Standard(
@@ -27,14 +27,14 @@ LANES = (
 )
 
 TRACK_FALSE = 0.1  # where only a straight is seen
-TRACK_FALSE_ROUND = 0.03  # where a bend is, too
+TRACK_FALSE_ROUND = 0.03  # where a bend is seen, too
 
 FEWEST_LINES, MOST_LINES = 6, 11
-LANE_BLOCK = 3.0  # [m] along the lanes
-TO_SIDES = 14.0  # [m] to either side
+LANE_BLOCK = 3.0  # [m] length of a block along the lanes
+TO_SIDES = 14.0  # [m] of the cross section to either side
 LANE_LINE = 0.05  # [m] of paint
-TRACK_BEND = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
-ROUND_FOR = np.radians(40)  # turned in all
+TRACK_BEND = 26.0, 60.0  # [m] limits of the radius of a bend: 36.5 at the kerb
+ROUND_FOR = np.radians(40)  # least turn in all
 
 
 @dataclass(frozen=True)

@@ -23,19 +23,19 @@ from ..detect.tiles import check_number, read, tiles
 from ..detect.workers import done_on_threads, worker_count
 from ..system import budget
 
-WINDOW_SIDE = 1024  # [px that a finder sees] side of a window, where anchors are small
+WINDOW_SIDE = 1024  # [px that a finder sees] side of a window for small anchors
 WINDOW_EXTENTS = 4.0  # least side of a window in anchors' extents: a quarter of each side is seen twice
 LARGEST_WINDOW = 2048  # [px that a finder sees]
-SHARE_OF_MEMORY = 0.5  # of the budget, for all finders at once
-BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
+SHARE_OF_MEMORY = 0.5  # of the memory budget, for all finders together
+BYTES_EACH = 80  # [byte] that a finder takes per pixel: eight maps of directions, and some of floats
 SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
-WINDOW_LISTS = 16  # of windows that there are at once: of every kind, and in the order of the visits
-FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
-ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: half of their variance they share
-# Pixels of a kind, as a finder sees them, after which no more are looked at: some 20 s on two cores at 1 s/Mpx. The
-# windows are spread evenly, so that what is common is found.
+WINDOW_LISTS = 16  # lists of all windows that exist at once: one for each kind, and in the order of the visits
+FIRST_WINDOWS = 16  # looked at in one batch for each kind, before it is decided whether they are enough
+ENOUGH_ANCHORS = 8  # of a kind, after which more hardly help: half of their variance is common to all
+# Pixels, as a finder sees them, after which the search for a kind ends: some 20 s on two cores at 1 s/Mpx. The windows
+# are spread evenly, so that common anchors are found.
 MOST_PIXELS = 20e6
-MIDDLE_OF_PIXEL = 0.5  # [px] from the upper left corner of a pixel, where finders have its coordinates
+MIDDLE_OF_PIXEL = 0.5  # [px] from a pixel's upper left corner to its centre, the origin of finders' coordinates
 CODE_OF_FINDERS = (
     "anchors/*.py",
     "core/anchors.py",
@@ -47,7 +47,7 @@ CODE_OF_FINDERS = (
 
 @dataclass(frozen=True)
 class Sought:
-    """What is looked for, and where: a finder, and pictures with their rough ground sampling distances [m/px]."""
+    """What to search for, and where: a finder, and pictures with their rough ground sampling distances [m/px]."""
 
     finder: AnchorFinder
     pictures: Sequence[tuple[Picture, float]]
@@ -62,12 +62,12 @@ def search(
     enough: int = ENOUGH_ANCHORS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Anchor]:
-    """The anchors in pictures whose ground sampling distances are known to a relative one-sigma of `gsd_sd`, each once
-    in each picture [px of the picture].
+    """The anchors in pictures whose ground sampling distances are known to a relative one sigma of `gsd_sd`, each once
+    per picture [px of the picture].
 
-    Unless the `effort` is exhaustive, a kind that was found `enough` times, or looked for in `most_pixels`, is looked
-    for no more; where depends on nothing but the pictures, the scale and the effort's seed.
-    `progress(done, total)` counts windows, the total being the most there may be.
+    Unless the `effort` is exhaustive, the search for a kind ends when `enough` of it are found or `most_pixels` were
+    searched. The choice of windows depends only on the pictures, the scale and the effort's seed.
+    `progress(done, total)` counts windows; the total is the most there may be.
     """
     effort = effort or Effort()
     workers = worker_count(effort.workers)
@@ -77,7 +77,7 @@ def search(
             part.cache = open_things.enter_context(AnchorCache(key)) if effort.cache and (key := part.key()) else None
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
-            batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only so
+            batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only that way
             work: dict[int, dict[int, Callable[[], list[Anchor]]]] = {}  # by how many fit into memory at once
             for k, (part, number) in enumerate(batch):
                 if not part.recalled(number):
@@ -92,7 +92,7 @@ def search(
 
 
 def _at_once(window: Tile, workers: int) -> int:
-    """Of how many windows like this `workers` may look at the same time, for their memory."""
+    """How many windows like this the `workers` may search at the same time, within the memory budget."""
     needed = BYTES_EACH * window.out_width * window.out_height
     return max(1, min(workers, int(SHARE_OF_MEMORY * budget.memory() / needed)))
 
@@ -136,30 +136,30 @@ class _KindSearch:
         return range(len(self.looks), min(len(self.looks) + count, len(self.jobs)))
 
     def place(self, number: int) -> tuple[str, int, int]:
-        """By which windows are read in order."""
+        """Sort key that puts windows in the order of reading."""
         picture, tile = self.jobs[number]
         return picture.name, tile.y, tile.x
 
     def recalled(self, number: int) -> bool:
-        """Keep what window `number` showed in another run, and say whether that is known."""
+        """Take the result for window `number` from an earlier run's cache; whether there is one."""
         found = self.cache.get(*self.jobs[number]) if self.cache else None
         if found is not None:
             self.looks[number] = found
         return found is not None
 
     def work(self, number: int) -> Callable[[], list[Anchor]]:
-        """The look at window `number`."""
+        """The job of searching window `number`."""
         picture, tile = self.jobs[number]
         return partial(look, self.finder, picture, tile, self.gsd[picture.name], self.gsd_sd, self.country)
 
     def put(self, number: int, found: list[Anchor]) -> None:
-        """Keep what window `number` showed."""
+        """Keep the anchors `found` in window `number`."""
         self.looks[number] = found
         if self.cache:
             self.cache.put(*self.jobs[number], found)
 
     def found(self) -> list[Anchor]:
-        """All that was seen so far, each anchor once in each picture."""
+        """All anchors found so far, each once per picture."""
         every = [anchor for number in sorted(self.looks) for anchor in self.looks[number]]
         return [
             anchor
@@ -168,7 +168,7 @@ class _KindSearch:
         ]
 
     def key(self) -> str | None:
-        # What says only where in memory it is would never be found again.
+        # Not the default repr, a memory address, which would never match again.
         settled = repr(self.finder) if is_dataclass(self.finder) else repr(vars(self.finder))
         settings = {
             "finder": [type(self.finder).__name__, self.finder.kind, settled],
@@ -180,8 +180,8 @@ class _KindSearch:
 
 
 def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]:
-    """Windows that cover a picture of `gsd` m/px, so that every anchor is whole in one; shrunk to the finder's
-    `finest` where the picture is finer."""
+    """Windows that cover a picture of `gsd` m/px so that every anchor lies wholly in one; where the picture is finer
+    than the finder's `finest`, they are shrunk to that."""
     zoom = min(1.0, gsd / finder.finest)
     extent = finder.extent * zoom / gsd
     side = min(max(WINDOW_SIDE, math.ceil(WINDOW_EXTENTS * extent)), LARGEST_WINDOW)
@@ -215,7 +215,7 @@ def look(
 
 
 def each_once(anchors: Sequence[Anchor]) -> list[Anchor]:
-    """Of anchors of one kind and picture that are one thing, the surest."""
+    """The anchors of one kind and picture, with only the surest of those that are the same object."""
     number = alike([anchor.lines for anchor in anchors], [anchor.pixels for anchor in anchors])
     best: dict[int, Anchor] = {}
     for k, anchor in zip(number.tolist(), anchors, strict=True):

@@ -1,7 +1,7 @@
 """Painted strokes: straight bright bars on darker ground, with their ends, to a fraction of a pixel.
 
-Ridges of brightness (Steger, "An unbiased detector of curvilinear structures", PAMI 1998) whose points head alike are
-joined; what is straight is a stroke.
+Neighbouring points on ridges of brightness (Steger, "An unbiased detector of curvilinear structures", PAMI 1998) with
+similar directions are joined; straight groups of them are strokes.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-JOINED_HEADING = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
-ROUND_STROKE = 0.6  # of the curvature across: more along, and it is a blob
-BENT_PX, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
-ASTRAY_PX = 1.3  # from a first line, beyond which a point is none of its stroke [px]
-FAINTEST_STROKE = 1.2  # grey levels of curvature across, below which a ridge is noise
-STRIP_ROWS = 512  # of a picture that are worked on at a time
+JOINED_HEADING = np.cos(np.radians(20))  # least cosine between the directions of neighbouring ridge points of a stroke
+ROUND_STROKE = 0.6  # of the curvature across: with more along, it is a blob
+BENT_PX, BENT_WIDE = 0.1, 0.3  # [px] and [sigmas of the filter]: largest one sigma of points across a straight stroke
+ASTRAY_PX = 1.3  # [px] from the first line, beyond which a point does not belong to the stroke
+FAINTEST_STROKE = 1.2  # [grey levels] curvature across, below which a ridge is noise
+STRIP_ROWS = 512  # of a picture that are processed together
 PAIRED_AT_ONCE = 500  # strokes
-LOOKED_UP = 32000  # places that are looked up in one call
-AS_PAINT = 0.65  # of the channel that gains most red and green gain at least so much where paint is
-STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
+LOOKED_UP = 32000  # places per call of OpenCV
+AS_PAINT = 0.65  # paint raises red and green by at least this share of what it raises the strongest channel
+STROKE_SURROUNDINGS = 30.0  # [sigmas of the filter] half width of the window for the mean curvature around
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class Strokes:
 def near_pairs(
     strokes: Strokes, reach: float, turn: float, astray: float = np.pi / 2
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of strokes whose centres are within `reach` [px], that turn by up to `turn` [rad] from one to the other and
-    lie up to `astray` [rad] off each other's directions, and a few that do by more. Each once, some strokes' at a time:
-    in a picture that is all texture there are more than fit in memory."""
-    # One direction after another: what is seldom off it is looked for in a narrow box along it.
+    """Pairs of strokes whose centres are within `reach` [px], whose directions differ by up to `turn` [rad], and which
+    lie up to `astray` [rad] off each other's directions; a few lie farther off. Each pair comes once, in batches of
+    some strokes: in a picture full of texture there are more than fit in memory."""
+    # One direction after another: with a small `astray` the search box is narrow and lies along it.
     count = int(np.ceil(np.pi / turn))
     half = np.pi / count / 2
     stretch = 1 / np.sin(min(astray + half, np.pi / 2))
@@ -74,7 +74,7 @@ def near_pairs(
 
 
 def linked(i: np.ndarray, j: np.ndarray, count: int, fewest: int) -> list[np.ndarray]:
-    """Groups of the numbers below `count` that the pairs (i, j) link, those of at least `fewest`."""
+    """Groups of at least `fewest` indices below `count` that the pairs (i, j) link."""
     label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
     member = np.flatnonzero(np.bincount(label)[label] >= fewest)
     order = member[np.argsort(label[member], kind="stable")]
@@ -82,12 +82,12 @@ def linked(i: np.ndarray, j: np.ndarray, count: int, fewest: int) -> list[np.nda
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
-    """RGB uint8 (H, W, 3) to float32 (H, W): how bright white and yellow paint show, mean of red and green."""
+    """RGB uint8 (H, W, 3) to float32 (H, W), the mean of red and green, in which white and yellow paint are bright."""
     return (image[..., 0].astype(np.float32) + image[..., 1]) / 2
 
 
 def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(...) of `picture` (H, W), or (..., C) of one of C channels, at `place` (..., 2) [px], linear between pixels."""
+    """Values (...) of `picture` (H, W), or (..., C) of one of C channels, at `place` (..., 2) [px], bilinear."""
     flat = place.reshape(-1, 1, 2).astype(np.float32)
     # One call may hold no more than 32767 places.
     parts = [
@@ -98,7 +98,7 @@ def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
-    """Whether `paint` (3,) differs from `ground` (3,) as white or yellow does: brighter, in red and green alike."""
+    """Whether `paint` (3,) differs from `ground` (3,) as white or yellow does: brighter in both red and green."""
     more = paint - ground
     return bool(more[:2].min() > AS_PAINT * max(more.max(), 1.0))
 
@@ -106,7 +106,7 @@ def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
 def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float = 1.0) -> Strokes:
     """The strokes in `light` (H, W), of about ``2 * sigma`` in width and at least `shortest` in length [px].
 
-    among : of the mean curvature around, the least of theirs; what stands out no more is texture.
+    among : least curvature of a stroke, as a share of the mean around; less is texture.
     """
     height = light.shape[0]
     margin = int(STROKE_SURROUNDINGS * sigma) + int(np.ceil(4 * sigma)) + 1
@@ -129,8 +129,8 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
     """(P, 7) ridge points of `light` (H, W), row by row: pixel (x, y), the ridge's place there (x, y) [px], the unit
     vector along it (x, y), and its strength [grey levels]."""
     gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
-    # The eigenvalue of the Hessian that is most negative. One pixel in ten bends as a ridge does; only
-    # there are its direction, across the ridge, and the ridge's place computed.
+    # The most negative eigenvalue of the Hessian. One pixel in ten is curved as a ridge; only there are the direction
+    # across the ridge and the ridge's place computed.
     mean, mixed = (hxx + hyy) / 2, cv2.magnitude((hxx - hyy) / 2, hxy)
     least, most = mean - mixed, mean + mixed
     around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
@@ -147,16 +147,16 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
-    """First and second derivatives of `light`, smoothed by `sigma`: gx, gy, hxx, hxy, hyy."""
+    """First and second derivatives of `light`, smoothed by `sigma` [px]: gx, gy, hxx, hxy, hyy."""
     reach = int(np.ceil(4 * sigma))
     t = np.arange(-reach, reach + 1, dtype=np.float64)
     g0 = np.exp(-(t**2) / (2 * sigma**2))
     g0 /= g0.sum()
     g1 = t / sigma**2 * g0
-    g1 /= (g1 * t).sum()  # a ramp's slope is exact
+    g1 /= (g1 * t).sum()  # exact for the slope of a ramp
     g2 = (t**2 / sigma**4 - 1 / sigma**2) * g0
     g2 -= g2.mean()
-    g2 /= (g2 * t**2).sum() / 2  # a parabola's curvature too
+    g2 /= (g2 * t**2).sum() / 2  # exact for the curvature of a parabola
 
     def filtered(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
         return cv2.sepFilter2D(light, cv2.CV_32F, kx, ky, borderType=cv2.BORDER_REPLICATE)
@@ -165,7 +165,7 @@ def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
 
 
 def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
-    """(P,) number of the stroke that each ridge point belongs to, at `y`, `x` of a picture of this `shape`."""
+    """(P,) number of the group to which each ridge point belongs, at `y`, `x` of a picture of this `shape`."""
     width = shape[1] + 2  # with a margin, so that all points have neighbours
     at = (y + 1) * width + x + 1
     number = np.full((shape[0] + 2) * width, -1, np.int32)
@@ -185,7 +185,8 @@ def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarr
 def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float, bent: float) -> Strokes:
     """Lines through the points of each group that is long and straight enough.
 
-    Twice: at its ends a wide bar's ridge spreads sideways, and what lies off the first line is left out of the second.
+    It is done twice, as the ridge of a wide bar spreads sideways at its ends: points off the first line are left out of
+    the second.
     """
     size = np.bincount(member)
     kept = size[member] >= 0.6 * shortest

@@ -8,12 +8,12 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-ZEBRA_PAINTED = 0.015  # one sigma of a crossing's period about its rule: those of two Chinese towns, 0.98 to 1.01 m
-ZEBRA_ABOUT = 0.03  # where the rule gives a range or says about, or where none is known
+ZEBRA_PAINTED = 0.015  # relative one sigma of a crossing's period about its rule: 0.98 to 1.01 m in two Chinese towns
+ZEBRA_ABOUT = 0.03  # where the rule gives a range or says "about", or where none is known
 
 
 def by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
-    """For each country that `rules` name what share of its crossings each of its rules has; they sum to 1."""
+    """The share of each rule among a country's crossings, for every country that `rules` name; they sum to 1."""
     named = dict.fromkeys(country for rule in rules for country in rule.countries)
     own = {country: [rule for rule in rules if country in rule.countries] for country in named}
     return {
@@ -23,8 +23,9 @@ def by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
 
 
 def elsewhere(rules: Sequence[Standard]) -> tuple[Standard, ...]:
-    """What to expect where no rule is known: the periods of `rules`, each as likely as it is among the countries that
-    they name, one vote each. A period's sigma is that of the rules that have it (rms), at least ZEBRA_ABOUT."""
+    """The standards where no rule is known: the periods of `rules`, each as likely as it is among the countries that
+    they name, with one vote per country. A period's sigma is that of the rules that have it (rms), at least
+    ZEBRA_ABOUT."""
     countries = by_country(rules)
     found = []
     for metres in sorted({rule.metres for rule in rules}):
@@ -43,7 +44,8 @@ def elsewhere(rules: Sequence[Standard]) -> tuple[Standard, ...]:
 
 
 def _evenly(widths: Sequence[float], relative_sd: float, source: str, country: str) -> list[Standard]:
-    """A rule that leaves the width of stripes and gaps between the first and the last of `widths` [m]."""
+    """A rule that allows stripes and gaps from the first to the last of `widths` [m], all of which are equally
+    likely."""
     return [
         Standard(
             f"stripes {width:.2f} m, gaps {width:.2f} m",
@@ -57,7 +59,7 @@ def _evenly(widths: Sequence[float], relative_sd: float, source: str, country: s
     ]
 
 
-# Where a rule gives a range, its ends count alike, and so does the round width between them.
+# Where a rule gives a range, its ends and the round width between them are equally likely.
 ZEBRA_RULES = (
     Standard(
         "stripes 0.50 m, gaps 0.50 m",

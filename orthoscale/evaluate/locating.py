@@ -21,15 +21,16 @@ from ..version import __version__
 from .places import PlacedSample
 
 NEAR_M, FAR_M = 5.0, 20.0  # [m] within which a photo counts as found; the paper's are 5 and 20
-TRUE_SD = 0.06  # relative one-sigma that a true scale, or one with an error, is searched with: the 90 % are +- 10 %
-ELLIPSIS, ELLIPSIS_STEP = "...", 0.1  # of --scale-errors, and the step that it stands for
+TRUE_SD = 0.06  # relative 1 sigma with which a true scale, or one with an error, is searched: 90 % are +- 10 %
+ELLIPSIS, ELLIPSIS_STEP = "...", 0.1  # in --scale-errors, and the step for which it stands
 ESTIMATED, TRUE = "estimated", "true"
 STAGE = "Locating"
 
 
 @dataclass(frozen=True)
 class LocateTrial:
-    """One search. error : of the best candidate [m], infinite without any; answered : whether it was good enough."""
+    """One search. error : distance of the best candidate from the true place [m], infinite without a candidate.
+    answered : whether the candidate was good enough."""
 
     photo: str
     error: float
@@ -37,7 +38,7 @@ class LocateTrial:
 
 
 def scale_errors(text: str) -> list[float]:
-    """The numbers of "-.5,0,.5"; "-.5,...,.5" stands for steps of 0.1. Raises UsageError."""
+    """The numbers in a text such as "-.5,0,.5"; "-.5,...,.5" stands for steps of 0.1. Raises UsageError."""
     values: list[float] = []
     words = [word.strip() for word in text.split(",")]
     try:
@@ -64,7 +65,7 @@ def true_scale(placed: PlacedSample) -> ClaimedScale:
 
 
 def estimated_scale(placed: PlacedSample, found: Detections, fleet: Fleet) -> ClaimedScale | None:
-    """The scale by the vehicles, None where there are too few."""
+    """The scale by the vehicles; None if there are too few."""
     try:
         got = measure([placed.sample.photo], found, fleet)
     except TooLittleEvidence:
@@ -82,7 +83,7 @@ def document(
     notes: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Success with the vehicles' scale, with the true one, and with errors of it, as plain values.
+    """Success with the vehicles' scale, with the true one, and with `errors` of the true one, as plain values.
 
     Raises UsageError, InputError.
     """
@@ -135,7 +136,7 @@ def _found(each: PlacedSample, outcome: Any) -> LocateTrial:
 
 def summary(results: Sequence[LocateTrial], photos: int) -> dict[str, Any]:
     """One line of the table, as shares of all `photos`: the best candidate within NEAR_M and FAR_M, good enough or not;
-    what was answered, and of that what was right; and how many answers were wrong (beyond FAR_M)."""
+    answers, and right answers; and the number of wrong answers (beyond FAR_M)."""
     error = np.array([each.error for each in results])
     answered = np.array([each.answered for each in results], bool)
     return {

@@ -20,7 +20,7 @@ from ..photos.measure import Photo, measure
 
 @dataclass(frozen=True)
 class Estimate:
-    """altitude [m], its 90 % interval if it has one, and the vehicles behind it."""
+    """altitude [m], low and high of its 90 % interval if it has one, and the number of vehicles used."""
 
     altitude: float
     low: float | None
@@ -43,7 +43,7 @@ def exact(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Es
 
 
 def paper(variant: Variant) -> Method:
-    """The paper's decoupled projection, its priors for every country, and its mean within the whiskers."""
+    """The paper's method: decoupled projection, the same priors for every country, and the mean within the whiskers."""
 
     def estimate(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:
         boxes = found.boxes.get(photo.name, Boxes.empty())
@@ -66,7 +66,7 @@ def paper(variant: Variant) -> Method:
 def by_depth(depths: Depths, refused: Counter[str]) -> Method:
     """The altitude over the ground around the vehicles in a photo's depth map, without an interval.
 
-    refused : counts why maps say nothing.
+    refused : counts the reasons why maps give no altitude.
     """
 
     def estimate(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:

@@ -1,4 +1,4 @@
-"""Photos whose place is known: DenseUAV's ``Dense_GPS_*.txt``, columns of a CSV, or the photos' own GPS tags."""
+"""Photos with a known place: from DenseUAV's ``Dense_GPS_*.txt``, columns of a CSV, or the photos' own GPS tags."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .readers import Sample
 GPS_FILES = "Dense_GPS_*.txt"
 GPS_LINE = re.compile(r"^(\S+)\s+E(-?\d+(?:\.\d+)?)\s+N(-?\d+(?:\.\d+)?)\s+(-?\d+(?:\.\d+)?)\s*$")
 GPS_HINT = "Lines are: path E<longitude> N<latitude> height."
-GPS_FOLDERS_ABOVE = 3  # folders above the photos' in which the file of their places is looked for
-NAME_PARTS = 2  # of a path: DenseUAV has 000001/H80.JPG in several folders, and the paths of its authors' disk
+GPS_FOLDERS_ABOVE = 3  # folders above that of the photos in which the file of their places is searched
+NAME_PARTS = 2  # last parts of a path, such as 000001/H80.JPG: DenseUAV's files have the paths of its authors' disk
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class PlacedSample:
 
 
 def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], list[str]]:
-    """Those of the `samples` of the data set at `path` whose place is known, and notes on the others.
+    """The `samples` of the data set at `path` whose place is known, and notes on the others.
 
-    Raises InputError for a damaged file of places, and where no place is known.
+    Raises InputError for a damaged file of places, and if no place is known.
     """
     of_table = path.is_file()
     told = places_of_csv(path) if of_table else places_of_denseuav(path)
     found = []
     for sample in samples:
         photo = sample.photo
-        # The folder that is evaluated may be the photos' own, which their names then leave out.
+        # If the folder that is evaluated is the photos' own, their names do not contain it.
         names = [photo.name] if of_table else [_short(str(photo.path.absolute())), _short(photo.name)]
         place = next((told[name] for name in names if name in told), photo.tags.lon_lat)
         if place is not None:
@@ -52,8 +52,9 @@ def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], l
 
 
 def places_of_denseuav(folder: Path) -> dict[str, tuple[float, float]]:
-    """Longitude and latitude by the last two parts of a photo's path, from all ``Dense_GPS_*.txt`` in `folder` or near
-    above it; none where there is no such file. Raises InputError, also where one photo has two places."""
+    """Longitude and latitude by the last two parts of a photo's path, from all ``Dense_GPS_*.txt`` in `folder` or the
+    first folder above it that has any; empty without such a file. Raises InputError, also if one photo has two
+    places."""
     for place in (folder, *folder.absolute().parents[:GPS_FOLDERS_ABOVE]):
         files = sorted(place.glob(GPS_FILES))
         if files:
@@ -76,8 +77,8 @@ def _add_gps_lines(places: dict[str, tuple[float, float]], path: Path) -> None:
 
 
 def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
-    """Longitude and latitude by a photo's name as it stands in the column image, from the columns longitude and
-    latitude; none where the table has no such columns. Raises InputError, also where one photo has two places."""
+    """Longitude and latitude by a photo's name in the column image, from the columns longitude and latitude; empty if
+    the table has no such columns. Raises InputError, also if one photo has two places."""
     table = read_table(path, "Give the CSV file.")
     columns = {"image", "longitude", "latitude"}
     if not columns <= set(table.fieldnames or ()):

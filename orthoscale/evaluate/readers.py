@@ -1,8 +1,8 @@
-"""Photos with known altitude, in the three forms that they come in.
+"""Reads photos with known altitude, in three forms.
 
-DenseUAV: photos that carry their altitude in their name (``000001/H80.JPG``, ``000001_H80.jpg``), straight down, from
-one camera. UAV-VisLoc+: a folder per region with ``drone/``, ``reference.txt`` (poses), ``camera.xml``, ``*_dsm.tif``.
-CSV: ``image,altitude_m`` and, where wanted, ``region,focal_px,pitch_deg,roll_deg``; images relative to the file.
+DenseUAV: photos with their altitude in their name (``000001/H80.JPG``, ``000001_H80.jpg``), nadir, from one camera.
+UAV-VisLoc+: a folder per region with ``drone/``, ``reference.txt`` (poses), ``camera.xml``, ``*_dsm.tif``.
+CSV: ``image,altitude_m`` and optionally ``region,focal_px,pitch_deg,roll_deg``; images relative to the file.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from ..system.paths import name_of
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
-# Of the picture's diagonal. DenseUAV's camera: 8.8 mm on a diagonal of 14.667 mm, 1080 px for 1440 x 1080 px, as the
-# paper's program has it.
+# Focal length as a share of the picture's diagonal. DenseUAV's camera: 8.8 mm on a diagonal of 14.667 mm, 1080 px for
+# 1440 x 1080 px, as in the paper's program.
 DENSEUAV_FOCAL = 8.8 / 14.667
 PHOTO_COLUMNS = ("image", "altitude_m", "region", "focal_px", "pitch_deg", "roll_deg")  # of a table of photos
 DSM_ENDINGS = ("_dsm.tif", "dsm.tif", "_DSM.tif", "DSM.tif")
@@ -36,7 +36,7 @@ DSM_ENDINGS = ("_dsm.tif", "dsm.tif", "_DSM.tif", "DSM.tif")
 
 @dataclass(frozen=True)
 class Sample:
-    """One photo, its true altitude over the ground [m], and the region that it counts for."""
+    """One photo, its true altitude over the ground [m], and the region to which it belongs."""
 
     photo: Photo
     altitude: float
@@ -48,8 +48,8 @@ def read_samples(
 ) -> tuple[list[Sample], list[str]]:
     """The photos of the data set at `path`, and notes on what was left out.
 
-    form : "denseuav", "visloc" or "csv"; by default what the folder looks like. lens_file, focal_px : go before what
-    the data set says. Raises InputError.
+    form : "denseuav", "visloc" or "csv"; by default what `path` looks like. lens_file, focal_px [px] : take precedence
+    over those of the data set. Raises InputError.
     """
     if not path.exists():
         raise absent(path, "Give a folder, or a CSV file.")
@@ -79,7 +79,7 @@ def _photos_in(folder: Path) -> list[Path]:
 
 
 def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
-    """Photos whose name, or that of their folder, tells their altitude; nadir, one fixed camera."""
+    """Photos with their altitude in their name, or in that of their folder; nadir, one fixed camera."""
     samples, nameless = [], []
     for path in _photos_in(folder):
         name = path.relative_to(folder).as_posix()
@@ -103,13 +103,13 @@ def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) 
 
 
 def _regions(folder: Path) -> list[Path]:
-    """The folder itself, or those in it, that have photos and poses."""
+    """Those of the folder and its subfolders that have photos and poses."""
     candidates = [folder, *sorted(p for p in folder.iterdir() if p.is_dir())]
     return [p for p in candidates if (p / "reference.txt").is_file() and (p / "drone").is_dir()]
 
 
 def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
-    """Photos with reference poses over a surface model: altitude = that of the pose less that of the ground below."""
+    """Photos with reference poses over a surface model: the altitude is the pose's height minus that of the ground."""
     samples: list[Sample] = []
     notes: list[str] = []
     regions = _regions(folder)
@@ -151,7 +151,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Longitude, latitude, height [m], yaw, pitch, roll [deg] by label: the last six columns of each line.
 
     Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north. Commas are
-    decimal ones where the numbers show it, else they are between columns, as blanks, tabs and semicolons are.
+    decimal ones if the numbers show it; otherwise they separate columns, as blanks, tabs and semicolons do.
     """
     poses: dict[str, tuple[float, ...]] = {}
     text = read_text(path, "It is a table of poses.")
@@ -163,7 +163,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
         try:
             values = tuple(float(v) for v in parts[-6:])
         except ValueError:
-            continue  # Metashape's own line of column names
+            continue  # Metashape's line of column names
         if not (all(map(math.isfinite, values)) and abs(values[0]) <= 180 and abs(values[1]) <= 90):
             raise InputError(
                 f"{path}, line {number}: {values[0]:g}, {values[1]:g} is no longitude and latitude",
@@ -179,7 +179,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
 
 
 def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
-    """A table of photos. Focal length and angles come from it, or else from the photos' own tags."""
+    """The photos of a table. Focal length and angles come from it, or else from the photos' own tags."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
     samples = []
@@ -229,7 +229,8 @@ def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: fl
 
 
 def changed(samples: Sequence[Sample], pitch_deg: float = 0.0, focal: float = 1.0) -> list[Sample]:
-    """The samples with a wrong pitch (towards the horizon) or a wrong focal length, and the truth as it was."""
+    """The samples with a pitch that is wrong by `pitch_deg` (positive towards the horizon) or a focal length that is
+    wrong by the factor `focal`, and an unchanged truth."""
     if not pitch_deg and focal == 1:
         return list(samples)
     angle = -np.radians(pitch_deg)  # about the camera's right, a positive angle would lower its view

@@ -1,4 +1,4 @@
-"""An evaluation as one document, and its tables for the terminal."""
+"""An evaluation as a document of plain values, and its tables for the terminal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `eva
 def samples_of(
     path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
 ) -> tuple[list[Sample], list[str]]:
-    """`read_samples`, without photos that look flatter than `max_pitch` [deg]. Raises InputError."""
+    """`read_samples`, without photos whose pitch is flatter than `max_pitch` [deg]. Raises InputError."""
     samples, notes = read_samples(path, form, lens_file, focal_px)
     if max_pitch is None:
         return samples, notes
@@ -51,9 +51,9 @@ def document(
     progress: Progress | None = None,
     depths: Depths | None = None,
 ) -> dict[str, Any]:
-    """Everything that was computed, as plain values. Raises TooLittleEvidence where no photo was usable.
+    """All results as plain values. Raises TooLittleEvidence if no photo was usable.
 
-    depths : the photos' metric depth, as one more method; ablations and wrong geometry are of those by vehicles.
+    depths : the photos' metric depth, for one more method; ablations and sensitivity are only for methods by vehicles.
     """
 
     def step(what: str) -> Callable[[int, int], None] | None:
@@ -89,16 +89,17 @@ def document(
 
 
 def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
-    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`.
+    """A test whether an existing table was written by orthoscale, if the format of `path` has no room for a signature;
+    else None. See `Outputs.file`.
 
-    locate : it is one of `evaluate.locating`.
+    locate : whether it is a table of `evaluate.locating`.
     """
     tables = [LOCATED_COLUMNS] if locate else [score.columns(methods) for methods in (METHODS, (*METHODS, BY_DEPTH))]
     return (lambda place: any(has_header(place, each) for each in tables)) if path.suffix.lower() == ".csv" else None
 
 
 def write(text: dict[str, Any], path: Path) -> None:
-    """The document (.json), or its photos (.csv)."""
+    """Write the document (.json), or the rows of its photos (.csv)."""
     if path.suffix.lower() == ".json":
         path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
     else:
@@ -106,7 +107,7 @@ def write(text: dict[str, Any], path: Path) -> None:
 
 
 def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:
-    """One calm table per question; errors in per cent."""
+    """One table for each question; errors in per cent."""
     lines = [
         _line(
             "method", "region", "photos", "used", "ratio", "vehicles", "altitude", "MAPE", "median", "bias", "in 90 %"

@@ -23,7 +23,7 @@ Step = Callable[[int, int], None] | None
 
 @dataclass(frozen=True)
 class Scored:
-    """One photo: the truth and what each method says; None where it has too few vehicles."""
+    """One photo: the truth, and the estimate of each method; None if it has too few vehicles."""
 
     sample: Sample
     estimates: dict[str, Estimate | None]
@@ -37,7 +37,7 @@ def score(
     min_score: float = MIN_SCORE,
     step: Step = None,
 ) -> list[Scored]:
-    """What each method says of each photo; thresholds over the number of vehicles are for `summary`."""
+    """The estimate of each method for each photo; thresholds of the number of vehicles are left to `summary`."""
     rows = []
     for k, sample in enumerate(samples):
         estimates = {name: method(sample.photo, found, fleet, min_score) for name, method in methods.items()}
@@ -48,10 +48,10 @@ def score(
 
 
 def summary(rows: Sequence[Scored], method: str, min_vehicles: int = MIN_VEHICLES) -> dict[str, Any]:
-    """One line of a table: how many photos were usable, and how far their altitudes are off (in per cent).
+    """One line of a table: how many photos were usable, and the errors of their altitudes [per cent].
 
     mape : mean absolute percentage error. bias : mean error. in_interval : share of truths in the 90 % interval, None
-    of methods without one.
+    for methods without one.
     """
     usable = [(r.sample, e) for r in rows if (e := r.estimates[method]) is not None and e.vehicles >= min_vehicles]
     truth = np.array([s.altitude for s, _ in usable])
@@ -73,7 +73,7 @@ def summary(rows: Sequence[Scored], method: str, min_vehicles: int = MIN_VEHICLE
 
 
 def by_region(rows: Sequence[Scored], methods: Iterable[str]) -> dict[str, list[dict[str, Any]]]:
-    """`summary` of each region, and of all photos where there are several regions, by method."""
+    """`summary` of each region, and of all photos if there are several regions, by method."""
     regions = list(dict.fromkeys(r.sample.region for r in rows))
     tables = {}
     for method in methods:
@@ -87,7 +87,7 @@ def by_region(rows: Sequence[Scored], methods: Iterable[str]) -> dict[str, list[
 def ablation(
     samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Mapping[str, Method], step: Step = None
 ) -> list[dict[str, Any]]:
-    """MAPE and used ratio over the score threshold and the least number of vehicles (the paper's ablation)."""
+    """MAPE and used ratio by score threshold and least number of vehicles (the paper's ablation)."""
     lines = []
     for k, min_score in enumerate(SCORES):
         rows = score(samples, found, fleet, methods, min_score)
@@ -106,7 +106,7 @@ def ablation(
 def sensitivity(
     samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Mapping[str, Method], step: Step = None
 ) -> list[dict[str, Any]]:
-    """MAPE and bias when pitch or focal length are wrong by so much (the paper's sensitivity analysis)."""
+    """MAPE and bias by error of pitch or focal length (the paper's sensitivity analysis)."""
     wrong = [("pitch_deg", e, changed(samples, pitch_deg=e)) for e in PITCH_ERRORS]
     wrong += [("focal", e, changed(samples, focal=1 + e)) for e in FOCAL_ERRORS]
     lines = []
@@ -128,7 +128,7 @@ def columns(methods: Iterable[str]) -> list[str]:
 
 
 def photo_rows(rows: Sequence[Scored]) -> list[dict[str, Any]]:
-    """A line per photo: the truth, and by each method the altitude, its interval and the vehicles behind it."""
+    """A line per photo: the truth, and for each method the altitude, its interval and the number of vehicles used."""
     lines = []
     for r in rows:
         line: dict[str, Any] = {

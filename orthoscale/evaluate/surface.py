@@ -15,7 +15,7 @@ from ..formats.degrees import near_on_map, to_degrees
 from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
-LOWEST_SHARE = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
+LOWEST_SHARE = 0.10  # share of the heights there, from the lowest, whose mean is the ground: roofs and crowns lie above
 
 
 class Surface:
@@ -27,7 +27,7 @@ class Surface:
 
     @classmethod
     def open(cls, path: Path) -> Surface:
-        """Raises InputError for what is no raster, or has no coordinate reference system."""
+        """Open the model at `path`. Raises InputError if it is no raster, or has no coordinate reference system."""
         with reading(path, "is no surface model that GDAL can read", "Give a GeoTIFF."):
             dataset = open_dataset(path)
         if dataset.crs is None:
@@ -42,7 +42,7 @@ class Surface:
         self._dataset.close()
 
     def ground(self, lon: float, lat: float) -> float | None:
-        """Mean of the lowest tenth of the heights within 100 m of a place [m]; None where the model has none."""
+        """Mean of the lowest tenth of the heights within 100 m of a place [m]; None if the model has none there."""
         north = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 0.0, RADIUS)
         east = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 90.0, RADIUS)
         to_pixel = ~self._dataset.transform
@@ -65,7 +65,7 @@ class Surface:
         y, x = np.indices(heights.shape) + 0.5
         offset = np.linalg.solve(axes, np.stack([x.ravel() + x0 - cx, y.ravel() + y0 - cy]))
         near = (np.hypot(*offset) <= RADIUS).reshape(heights.shape)
-        # Models without a nodata value have -32767 and the like where they know nothing.
+        # Models without a nodata value have -32767 and the like where there is no height.
         known = np.sort(heights[near].compressed())
         known = known[np.isfinite(known) & (known > -1000)]
         if not len(known):

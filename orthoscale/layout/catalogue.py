@@ -1,7 +1,7 @@
-"""The facilities that can be placed: standard ones with their sources, parking by country, or a user's own file.
+"""The facilities that can be placed: standard ones with their sources, parking by country, or those of a user's file.
 
-The figures and the source of each are in ``data/facilities.json``, whose ``about`` describes the format; the sizes of
-parking bays in ``data/stalls.json``.
+The figures of each and their source are in ``data/facilities.json``, whose ``about`` describes the format; the sizes of
+parking bays are in ``data/stalls.json``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..formats.tables import standards
 
 CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
-USUAL_BAYS = 10  # of a car park where nobody says how many
+USUAL_BAYS = 10  # of a car park, if no number is given
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Facility:
     """One kind of facility, about its own centre: x along its length, y to the left [m].
 
     length, width : of the playing area. ends, sides : run-off beyond its short and its long lines [m].
-    north_south : its length should point north, so that nobody looks into a low sun.
-    stadium : it has half circles for ends. lines : what is painted, (n, 2) each.
-    look : in words, for a generative renderer. colour : RGB. open_ends : vehicles drive in at its short ends, which
-    are not painted.
+    north_south : whether its length should point north, so that nobody looks into a low sun.
+    stadium : whether its ends are half circles. lines : what is painted, (n, 2) each.
+    look : in words, for a generative renderer. colour : RGB. open_ends : whether vehicles drive in at its short ends,
+    which are then not painted.
     """
 
     code: str
@@ -54,31 +54,31 @@ class Facility:
 
     @property
     def full_length(self) -> float:
-        """With the run-off at both ends [m]."""
+        """Length with the run-off at both ends [m]."""
         return self.length + 2 * self.ends
 
     @property
     def full_width(self) -> float:
-        """With the run-off at both sides [m]."""
+        """Width with the run-off at both sides [m]."""
         return self.width + 2 * self.sides
 
     @property
     def outline(self) -> np.ndarray:
-        """(n, 2) the playing area."""
+        """(n, 2) corners of the playing area [m]."""
         if self.stadium:
             return _stadium(self.length - self.width, self.width / 2)[:-1]
         return _rectangle(0, 0, self.length, self.width)[:-1]
 
     @property
     def edges(self) -> tuple[np.ndarray, ...]:
-        """The playing area's edges as they are painted: all round, or with `open_ends` along the long sides."""
+        """The playing area's painted edges: all round, or with `open_ends` only along the long sides."""
         ring = np.concatenate([self.outline, self.outline[:1]])
         return (ring[:2], ring[2:4]) if self.open_ends else (ring,)
 
 
 @dataclass(frozen=True)
 class Request:
-    """One facility that is wanted; `centre` (in the CRS or pixels) and `bearing` [deg] where its place is given."""
+    """One facility to place; `centre` (in the CRS or pixels) and `bearing` [deg] if its place is given."""
 
     facility: Facility
     centre: tuple[float, float] | None = None
@@ -86,10 +86,10 @@ class Request:
 
 
 def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[Request]:
-    """``CODE``, ``CODE:COUNT``, ``CODE@X,Y`` or ``CODE@X,Y,BEARING``; parking is ``parking-COUNTRY`` or
+    """The requests in ``CODE``, ``CODE:COUNT``, ``CODE@X,Y`` or ``CODE@X,Y,BEARING``; parking is ``parking-COUNTRY`` or
     ``parking-COUNTRY:BAYS``.
 
-    BEARING is that of the long side, clockwise from north; 0 by default. Raises UsageError, InputError.
+    BEARING is that of the long side [deg], clockwise from north; 0 by default. Raises UsageError, InputError.
     """
     kinds = load(catalogue)
     requests: list[Request] = []
@@ -127,7 +127,7 @@ def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
 
 
 def load(path: Path | None = None) -> dict[str, Facility]:
-    """The built-in facilities by code, and those of the file at `path` (same format), which go first."""
+    """The built-in facilities by code, and those of the file at `path` (same format), which replace built-in ones."""
     built_in = _table()["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
@@ -148,8 +148,8 @@ def load(path: Path | None = None) -> dict[str, Facility]:
 
 
 def parking(code: str, bays: int) -> Facility:
-    """Two rows of `bays` at right angles to an aisle between them, for ``parking-DE`` and the like. Raises UsageError
-    for a country whose bays are not known."""
+    """A car park of `bays` in two rows, at right angles to an aisle between them, for ``parking-DE`` and the like.
+    Raises UsageError for a country whose bays are not known."""
     country = code.partition("-")[2].upper()
     stalls = {c: row for key, row in standards().stalls.items() for c in (key, *row.get("countries", ()))}
     del stalls[WORLD]
@@ -191,8 +191,8 @@ def _table() -> dict[str, Any]:
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
-    """From an entry that fits `schemas.standards.FacilityEntry`. Raises ValueError for lines or an infield without
-    sense."""
+    """The facility of an entry that fits `schemas.standards.FacilityEntry`. Raises ValueError for lines or an infield
+    that make no sense."""
     sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
     both = [_points(line) for line in entry.get("both_ends", [])]
     lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]

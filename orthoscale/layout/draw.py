@@ -15,7 +15,7 @@ from .ground import MetricOrthophoto
 from .place import PlacedFacility
 
 LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
-DRAWING_MARGIN = 0.06  # of the lot, around it
+DRAWING_MARGIN = 0.06  # around the lot, as a share of its longer side
 OVERLAY = 1600  # longest side of the overlay [px]
 LOT, RUN_OFF = (255, 220, 40), (255, 255, 255)  # RGB
 FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -32,7 +32,7 @@ class Window:
 
 
 def window_of(ground: MetricOrthophoto, lot: BaseGeometry) -> Window:
-    """The lot with a margin, inside of the picture."""
+    """The part of the picture with the lot and a margin."""
     x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
     margin = DRAWING_MARGIN * max(x1 - x0, y1 - y0)
     left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
@@ -41,8 +41,8 @@ def window_of(ground: MetricOrthophoto, lot: BaseGeometry) -> Window:
 
 
 def mask(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Window) -> np.ndarray:
-    """(2, h, w) uint16: the number of the facility (1, 2 ...) whose playing area holds the pixel's centre, and whose
-    area with run-off does; 0 for none."""
+    """(2, h, w) uint16: the number (1, 2 ...) of the facility whose playing area, and whose area with run-off, contains
+    the pixel's centre; 0 for none."""
     bands = []
     for areas in ([p.area for p in placed], [p.full_area for p in placed]):
         shapes = [(_shifted(ground, area, window), k) for k, area in enumerate(areas, 1)]
@@ -52,7 +52,7 @@ def mask(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Win
 
 
 def lines(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Window) -> np.ndarray:
-    """(h, w) uint8: 255 on painted lines and on the playing areas' edges, else 0; no half tones."""
+    """(h, w) uint8: 255 on painted lines and on the playing areas' edges, else 0, without antialiasing."""
     drawing = np.zeros((window.height, window.width), np.uint8)
     thickness = max(1, round(LINE_M / ground.gsd))
     for place in placed:
@@ -102,7 +102,7 @@ def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> Ba
 
 
 def _points(ground: MetricOrthophoto, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
-    """(n, 2) int32, in sixteenths of a pixel as OpenCV takes them; its pixel centres are integers, ours end in .5."""
+    """(n, 2) int32, in sixteenths of a pixel as OpenCV needs them; its pixel centres are integers, ours end in .5."""
     pixels = (ground.to_pixels(metres) - (window.x, window.y)) * zoom - 0.5
     return np.round(pixels * 16).astype(np.int32)
 

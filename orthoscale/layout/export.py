@@ -34,8 +34,9 @@ def write(layout: Layout, folder: Path) -> None:
 
 
 def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """layout.gpkg in the orthophoto's CRS, with layers facilities, run_off, lines and lot; and layout.geojson: the
-    playing areas, in longitude and latitude where the orthophoto has a place on Earth, else in its own coordinates."""
+    """Write layout.gpkg in the orthophoto's CRS, with layers facilities, run_off, lines and lot; and layout.geojson
+    with the playing areas, in longitude and latitude if the orthophoto has a place on Earth, else in its own
+    coordinates."""
     ground = layout.ground
     crs = ground.crs.to_wkt() if ground.crs else None  # a world file alone has none
 
@@ -61,8 +62,8 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
 
 
 def write_dxf(layout: Layout, path: Path) -> None:
-    """A drawing in metres, east and north of the orthophoto's lower left corner; layers LOT, RUN_OFF, FACILITIES,
-    LINES and LABELS."""
+    """Write a drawing in metres, east and north of the orthophoto's lower left corner, with layers LOT, RUN_OFF,
+    FACILITIES, LINES and LABELS."""
     import ezdxf
 
     drawing = ezdxf.new("R2010", units=ezdxf.units.M)
@@ -87,8 +88,8 @@ def write_dxf(layout: Layout, path: Path) -> None:
 
 
 def write_pictures(layout: Layout, folder: Path) -> None:
-    """mask.tif and lines.tif on the orthophoto's grid; lines.png, mask.png, lot.png (the same part of each, for a
-    renderer); overlay.png for people."""
+    """Write mask.tif and lines.tif on the orthophoto's grid; lines.png, mask.png and lot.png (all of the same part, for
+    a renderer); and overlay.png for people."""
     ground, source = layout.ground, layout.ground.source
     window = draw.window_of(ground, layout.lot)
     numbers = draw.mask(ground, layout.placed, window)
@@ -103,7 +104,7 @@ def write_pictures(layout: Layout, folder: Path) -> None:
 
 
 def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Window, names: Sequence[str]) -> None:
-    """A GeoTIFF of the orthophoto's size; what lies outside of `window` is 0 and takes no space."""
+    """Write a GeoTIFF of the orthophoto's size; outside of `window` it is 0 and takes no space."""
     ground = layout.ground
     with (
         guarded(),

@@ -1,4 +1,4 @@
-"""The ground of an orthophoto: conversion between pixels, metres east and north, and coordinates of its CRS."""
+"""The ground of an orthophoto: conversion between pixels, metres east and north, and the coordinates of its CRS."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
-MOST_OFF = 10.0  # times that an end of an interval lies from its scale: no report tells more
+MOST_OFF = 10.0  # largest ratio between an end of an interval and its scale: no true report has more
 AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
 FARTHEST_M = 1e9  # of a polygon's coordinates, whatever their unit
 
@@ -32,10 +32,10 @@ class MetricOrthophoto:
     """An orthophoto with metres.
 
     pixel : (2,) true ground size of one pixel, across and down [m].
-    north : bearing of north in the picture, clockwise from its top, if its pixels were square [deg].
-    transform, crs : what the file claims, from ground control points where it has no geotransform; crs None without.
-    interval : (low, high), the 90 % interval of the scale over its value; None where nobody tells it.
-    notes : what the user should know of all that.
+    north : direction of north in the picture, clockwise from its top, if its pixels were square [deg].
+    transform, crs : as the file claims, from ground control points if it has no geotransform; crs is None without one.
+    interval : (low, high), the 90 % interval of the scale divided by its value; None if it is not known.
+    notes : on all of this, for the user.
     """
 
     source: RasterSource
@@ -48,7 +48,7 @@ class MetricOrthophoto:
 
     @property
     def gsd(self) -> float:
-        """[m/px], the geometric mean of both axes."""
+        """Ground sampling distance [m/px], the geometric mean of both axes."""
         return float(np.sqrt(self.pixel.prod()))
 
     @property
@@ -57,7 +57,7 @@ class MetricOrthophoto:
         a = math.radians(self.north)
         north = np.array([math.sin(a), math.cos(a)])
         east = north[::-1] * (1, -1)
-        # Rows may go north, or columns west: what is stored then is the ground's mirror image.
+        # If rows go north, or columns west, the file has the ground's mirror image.
         return np.array([-east if self.source.claimed.mirrored else east, north])
 
     def to_metres(self, pixels: np.ndarray) -> np.ndarray:
@@ -66,32 +66,32 @@ class MetricOrthophoto:
         return right_up @ self._axes.T
 
     def to_pixels(self, metres: np.ndarray) -> np.ndarray:
-        """(n, 2) the way back."""
+        """(n, 2) the inverse of `to_metres`."""
         right_up = np.asarray(metres, float) @ self._axes / self.pixel
         return (right_up - (0, self.source.height)) * (1, -1)
 
     def to_crs(self, metres: np.ndarray) -> np.ndarray:
-        """(n, 2) metres to the coordinates of the file's CRS."""
+        """(n, 2) metres to coordinates of the file's CRS."""
         return transformed(self.to_pixels(metres), self.transform)
 
     def from_crs(self, coordinates: np.ndarray) -> np.ndarray:
-        """(n, 2) the way back."""
+        """(n, 2) the inverse of `to_crs`."""
         return self.to_metres(transformed(coordinates, ~self.transform))
 
     @property
     def longitude(self) -> float | None:
-        """Of its middle [deg]; None of a picture without a place on Earth."""
+        """Longitude of its middle [deg]; None without a place on Earth."""
         if not self.source.claimed.usable:
             return None
         try:
             there = to_degrees(self.crs)
-        except pyproj.exceptions.ProjError:  # of the Moon, say
+        except pyproj.exceptions.ProjError:  # a CRS of the Moon, say
             return None
         return float(there.transform(*self.middle)[0])
 
     @property
     def middle(self) -> np.ndarray:
-        """(2,) coordinates of its middle, in the file's CRS."""
+        """(2,) coordinates of its middle in the file's CRS."""
         return transformed(np.array([[self.source.width / 2, self.source.height / 2]]), self.transform)[0]
 
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
@@ -100,7 +100,7 @@ class MetricOrthophoto:
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
-    """The orthophoto at `path`. Raises InputError for one without metres.
+    """The orthophoto at `path`. Raises InputError if it has no scale in metres.
 
     scale_error : half of the scale's 90 % interval, as a share; by default from the report that `orthoscale fix` wrote
     beside the file.
@@ -113,7 +113,7 @@ def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophot
             "Give it its scale first: orthoscale fix ORTHO --out SCALED.tif",
         )
     across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
-    # A transform in degrees does not tell the shape that pixels have on the ground.
+    # A transform in degrees does not give the shape of pixels on the ground.
     aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
     pixel = gsd * np.array([aspect, 1 / aspect])
     north, notes = _north(source, transform, pixel)
@@ -122,7 +122,7 @@ def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophot
 
 
 def _north(source: RasterSource, transform: Affine, pixel: np.ndarray) -> tuple[float, tuple[str, ...]]:
-    """Of a picture with this transform and `MetricOrthophoto.pixel`, its `north`, and notes on it."""
+    """`MetricOrthophoto.north` of a picture with this transform and ground size of a `pixel`, and notes on it."""
     middle = np.array([[source.width / 2, source.height / 2]])
     x, y = transformed(middle, transform)[0]
     notes: tuple[str, ...] = ()
@@ -151,7 +151,7 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
         low, high = (v / told.scale for v in told.interval90)
         if 1 / MOST_OFF <= low <= 1 <= high <= MOST_OFF:
             return (low, high), ()
-    except InputError:  # none, or another program's file of that name
+    except InputError:  # there is none, or it is another program's file
         pass
     return None, (
         f"the uncertainty of the scale is not known: no {report.name} tells it (or give --scale-error PERCENT)",
@@ -159,14 +159,14 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
 
 
 def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry, str | None]:
-    """All polygons of a vector file as one, and its CRS. Those in degrees lie about the `longitude` of a picture and go
-    on beyond 180 as it does, instead of around the Earth. Raises InputError."""
+    """All polygons of a vector file as one shape, and the file's CRS. Coordinates in degrees are shifted by full turns
+    to lie near the `longitude` of a picture, also beyond 180. Raises InputError."""
     import pyogrio
 
     if not path.is_dir():  # some formats are folders
         check_regular(path, AREA_HINT)
     if path.suffix.lower() in (".geojson", ".json"):
-        read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets what is sound
+        read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets sound files
     try:
         with readable(path) as place:
             meta, _, shapes, _ = pyogrio.raw.read(place)
@@ -184,15 +184,15 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
 
 
 def _degrees(shape: BaseGeometry) -> bool:
-    """Whether its coordinates may be longitudes, which go on beyond 180, and latitudes."""
+    """Whether its coordinates may be longitudes, which may exceed 180, and latitudes."""
     return bool((np.abs(shapely.get_coordinates(shape)) <= [360, 90]).all())
 
 
 def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
     """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
 
-    pixels : coordinates are columns and rows of the picture. Otherwise those of a file with a CRS of its own are
-    transformed, if the picture has a place on Earth; those of a picture in local metres are taken as they are.
+    pixels : whether coordinates are columns and rows of the picture. Otherwise, if the picture has a place on Earth,
+    coordinates of a file with its own CRS are transformed; for a picture in local metres they are taken as they are.
     Raises InputError.
     """
     area, own = _polygons(path, ground.longitude)
@@ -200,7 +200,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     if pixels:
         area = ground.mapped(area, ground.to_metres)
     else:
-        # GeoJSON knows longitude and latitude alone; a file in other coordinates is read as if it were that.
+        # GeoJSON is always read as longitude and latitude, even if its coordinates are others.
         if ground.source.claimed.usable and own and not (own == WGS_84 and not _degrees(area)):
             try:
                 there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)

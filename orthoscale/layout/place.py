@@ -1,9 +1,9 @@
-"""Where facilities go: inside the lot, clear of each other, north to south where they can. Pure geometry, in metres.
+"""Where facilities go: inside the lot, clear of each other, north to south if possible. Pure geometry, in metres.
 
-Where may the centre of a rectangle be, so that it lies inside a free area? In the area less the Minkowski sum of its
-boundary with the rectangle; for straight edges that is a union of convex hulls, so the answer is an exact polygon, and
-its corners are the tightest places. Facilities are placed one after the other, the largest first, each as far towards
-one corner of the lot as it goes; of several attempts with other corners the best counts.
+Where may the centre of a rectangle be so that it lies inside a free area? In the area minus the Minkowski sum of its
+boundary with the rectangle. For straight edges that sum is a union of convex hulls, so the answer is an exact polygon,
+and its corners are the tightest places. Facilities are placed one after the other, the largest first, each as far as
+possible towards one corner of the lot; the best of several attempts with different corners is kept.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from shapely.geometry.base import BaseGeometry
 from .catalogue import Facility
 
 # [deg] from north within which a facility counts as lying north to south. The ITF's Facilities Guide (2020) asks for
-# "generally north-south", 25 degrees off where latitude and season want it; how far that goes is our choice.
+# "generally north-south", or 25 degrees off it where latitude and season require; this limit is our choice.
 TOLERANCE = 20.0
-STEP, COARSE_STEP = 5.0, 15.0  # [deg] between directions that are tried, to place and to tell what is missing
-SLACK = 1e-3  # [m] by which a rectangle may touch what it must not cross
-PRECISION = 0.05  # [m] to which it is told how much is missing
-WORTH_TELLING = 0.5  # share of a side that must be left for "so many metres shorter" to be an option
+STEP, COARSE_STEP = 5.0, 15.0  # [deg] between directions that are tried: for placing, and for computing what is missing
+SLACK = 1e-3  # [m] by which a rectangle may overlap what it must not cross
+PRECISION = 0.05  # [m] of how much is missing
+WORTH_TELLING = 0.5  # least share of a side that must be left for "so many metres shorter" to be reported
 UNIT_CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
 ATTEMPTS = 12  # the first four towards one corner each, the others with a corner drawn for each facility
 
@@ -50,7 +50,7 @@ class PlacedFacility:
 
     @property
     def full_area(self) -> Polygon:
-        """With the run-off, as a rectangle."""
+        """The area with the run-off, as a rectangle."""
         return self.grown(1.0)
 
     def grown(self, factor: float) -> Polygon:
@@ -66,11 +66,11 @@ class PlacedFacility:
 
 @dataclass(frozen=True)
 class Missing:
-    """A facility that was not placed, and why; `place` where one was asked for.
+    """A facility that was not placed, and why. place : where it was requested, if a place was given.
 
-    short_length, short_width : what the free space lacks at full width and at full length [m]; None where half of
-    that side or more would have to go. share : how large it could be in its own proportions, 0..1.
-    empty_lot : it would fit if it were alone. outside, overlapping : square metres, at a given place.
+    short_length, short_width : length missing at full width, and width missing at full length [m]; None if half of that
+    side or more would have to go. share : how large it could be in its own proportions, 0..1.
+    empty_lot : whether it would fit alone. outside, overlapping : at a given place [m2].
     """
 
     facility: Facility
@@ -83,7 +83,7 @@ class Missing:
     overlapping: float = 0.0
 
     def sentence(self) -> str:
-        """For people."""
+        """The reason in words."""
         size = f"{self.facility.full_length:.1f} x {self.facility.full_width:.1f} m with its run-off"
         if self.place is not None:
             excess = ((self.outside, "outside of the free lot"), (self.overlapping, "on others"))
@@ -105,9 +105,9 @@ def arrange(
     clearance: float = 1.0,
     avoid: BaseGeometry | None = None,
 ) -> tuple[list[PlacedFacility], list[Missing]]:
-    """Place `wanted` (and `fixed`, where they are asked to be) inside `lot`; east and north in metres.
+    """Place `wanted`, and `fixed` at their given places, inside `lot`; coordinates are metres east and north.
 
-    clearance : between facilities, run-off included, and to the lot's edge [m]. avoid : what must stay free of them.
+    clearance : between facilities, run-off included, and to the lot's edge [m]. avoid : area to keep free.
     """
     space = shapely.buffer(lot, -clearance, join_style="mitre") if clearance else lot
     if avoid is not None and not avoid.is_empty:
@@ -146,8 +146,8 @@ def arrange(
 
 
 def holds(lot: BaseGeometry, placed: Sequence[PlacedFacility], factor: float) -> list[bool]:
-    """Whether each would still lie in the lot and clear of the others, were all `factor` times as large on the picture:
-    what remains of a layout when the scale is that much off."""
+    """Whether each facility would still lie in the lot and clear of the others if all were `factor` times as large in
+    the picture, as for a scale that is wrong by that factor."""
     areas = [p.grown(factor) for p in placed]
     roomy = shapely.buffer(lot, SLACK)
     return [
@@ -158,8 +158,9 @@ def holds(lot: BaseGeometry, placed: Sequence[PlacedFacility], factor: float) ->
 
 
 def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> BaseGeometry:
-    """Where the centre of a `length` x `width` m rectangle along `bearing` may be, so that it lies within `free`."""
-    # What a disc as wide as the rectangle leaves: often nothing, which saves the rest.
+    """Where the centre of a `length` x `width` [m] rectangle along `bearing` [deg] may be so that it lies within
+    `free`."""
+    # Where a disc as wide as the rectangle fits: often nowhere, which saves the rest.
     room = shapely.buffer(free, -(min(length, width) - SLACK) / 2)
     if room.is_empty:
         return room
@@ -190,7 +191,7 @@ def _rings(area: BaseGeometry) -> Iterator[BaseGeometry]:
 
 
 def _directions(lot: BaseGeometry, step: float = STEP) -> list[float]:
-    """Bearings to try [deg, 0..180): those of the lot's long edges and their normals, and a comb of all."""
+    """Bearings to try [deg, 0..180): those of the lot's long edges and their normals first, then evenly spaced ones."""
     hull = np.asarray(shapely.simplify(lot.convex_hull, 0.5).exterior.coords)
     edges = np.diff(hull, axis=0)
     length = np.linalg.norm(edges, axis=1)
@@ -200,7 +201,8 @@ def _directions(lot: BaseGeometry, step: float = STEP) -> list[float]:
 
 
 def _ranked(facility: Facility, directions: Sequence[float]) -> list[list[float]]:
-    """Groups of bearings, the better first: close to north where that matters, and those of the lot first of all."""
+    """Groups of bearings, the better group first: close to north if that matters. In a group the lot's own come
+    first."""
     if not facility.north_south:
         return [list(directions)]
     turned = {b: min(b, 180 - b) for b in directions}
@@ -219,7 +221,7 @@ def _best_place(
             may_be = centres(free, facility.full_length, facility.full_width, bearing)
             points = shapely.get_coordinates(may_be)
             if len(points):
-                # Far towards the corner, least for the direction's rank: a tenth of the length for the whole list.
+                # Distance towards the corner, less a penalty for the direction's rank: up to a tenth of the length.
                 pull = points @ corner - 0.1 * facility.full_length * rank / len(group)
                 k = int(np.argmax(pull))
                 options.append((float(pull[k]), bearing, (float(points[k, 0]), float(points[k, 1]))))
@@ -230,7 +232,7 @@ def _best_place(
 
 
 def _merit(placed: Sequence[PlacedFacility]) -> tuple[float, float, float]:
-    """More area first, then fewer degrees from north, then less sprawl."""
+    """Sort key of a layout: more area first, then fewer degrees from north, then a smaller convex hull."""
     area = sum(p.full_area.area for p in placed)
     turned = sum(max(p.from_north - TOLERANCE, 0) for p in placed if p.facility.north_south)
     sprawl = shapely.MultiPolygon([p.full_area for p in placed]).convex_hull.area if placed else 0.0
@@ -263,14 +265,14 @@ def _fits(free: BaseGeometry, length: float, width: float, directions: Sequence[
 
 
 def _shortfall(space: BaseGeometry, free: BaseGeometry, facility: Facility, directions: Sequence[float]) -> Missing:
-    """By how much: the longest of full width, the widest of full length, and the largest of its proportions that still
-    find a place in one of `directions`."""
+    """How much is missing: by the longest of full width, the widest of full length, and the largest in its own
+    proportions that still fit in one of `directions`."""
     length, width = facility.full_length, facility.full_width
     empty_lot = _fits(space, length, width, directions)
     free = free if empty_lot else space
 
     def largest(fits: Callable[[float], bool]) -> float:
-        """Of the shares of a side, to PRECISION of the length."""
+        """The largest share of a side that `fits`, to PRECISION of the length."""
         low, high = 0.0, 1.0
         while (high - low) * length > PRECISION:
             middle = (low + high) / 2

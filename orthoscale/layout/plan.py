@@ -1,4 +1,4 @@
-"""From a lot and a list of facilities to the layout, and to the folder with all its files."""
+"""From a lot and a list of facilities to the layout, as plain values and as a prompt."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .place import Missing, PlacedFacility, arrange, holds
 
 @dataclass(frozen=True)
 class Layout:
-    """What was placed where, what was not and why; metres east and north of the picture's lower left corner.
+    """What was placed where, and what was not and why; metres east and north of the picture's lower left corner.
 
-    holds_low, holds_high : of each placed facility, whether it still fits where it is, clear of what is to be avoided,
-    if the scale is at that end of its 90 % interval; None where the interval is not known.
+    holds_low, holds_high : for each placed facility, whether it still fits where it is, clear of `avoid`, if the scale
+    is at that end of its 90 % interval; None if the interval is not known.
     """
 
     ground: MetricOrthophoto
@@ -36,7 +36,7 @@ class Layout:
 
     @property
     def free_area(self) -> float:
-        """Of the lot without what is to be avoided and what was placed [m2]."""
+        """Area of the lot without `avoid` and without what was placed [m2]."""
         return _buildable(self.lot, self.avoid).area - sum(p.full_area.area for p in self.placed)
 
 
@@ -54,7 +54,7 @@ def plan(
     """Place the facilities of `wishes` (see `parse_requests`) inside `lot` on the orthophoto `raster`.
 
     avoid : a file of polygons to keep free. clearance : between facilities, their run-off included, and to the lot's
-    edge [m]. scale_error : see `open_ground`. lot_pixels : vector coordinates, and those of wishes, are columns and
+    edge [m]. scale_error : see `open_ground`. lot_pixels : whether coordinates of vectors and wishes are columns and
     rows. Raises InputError, UsageError.
     """
     if not (np.isfinite(clearance) and clearance >= 0):
@@ -71,13 +71,13 @@ def plan(
     placed, missing = arrange(area, wanted, fixed, clearance, blocked)
     low = high = None
     if ground.interval is not None:
-        # A scale at the low end makes the lot smaller on the ground, so facilities larger on the picture.
+        # With a scale at the low end the lot is smaller on the ground, so facilities are larger in the picture.
         low, high = (holds(_buildable(area, blocked), placed, 1 / bound) for bound in ground.interval)
     return Layout(ground, area, blocked, placed, missing, low, high, (*ground.notes, *notes))
 
 
 def _buildable(lot: BaseGeometry, avoid: BaseGeometry | None) -> BaseGeometry:
-    """The lot without what is to be avoided."""
+    """The lot without the area to `avoid`."""
     return lot if avoid is None else lot.difference(avoid)
 
 
@@ -139,7 +139,7 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
         "y": float(y),
         "column_px": round(float(px), 2),
         "row_px": round(float(py), 2),
-        # What is drawn as `length` may be as short or as long on the ground, at the ends of the scale's interval.
+        # True size on the ground of what is drawn as `length`, at the ends of the scale's interval.
         "length_low": None if low is None else round(f.length * low, 3),
         "length_high": None if high is None else round(f.length * high, 3),
         "width_low": None if low is None else round(f.width * low, 3),
@@ -151,7 +151,7 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
 
 
 def prompt(layout: Layout) -> str:
-    """What is to be drawn where, for a generative renderer that gets lines.png beside it."""
+    """What to draw where, in words, for a generative renderer that also gets lines.png."""
     kinds: dict[str, tuple[Facility, list[PlacedFacility]]] = {}
     for place in layout.placed:
         kinds.setdefault(place.facility.name, (place.facility, []))[1].append(place)

@@ -11,7 +11,7 @@ from .plan import Layout
 
 
 def summary(layout: Layout, out: Path | None) -> str:
-    """A few calm lines."""
+    """The summary in a few lines. out : the folder that was written, if any."""
     ground = layout.ground
     count = len(layout.placed) + len(layout.missing)
     used = sum(p.full_area.area for p in layout.placed)

@@ -1,4 +1,4 @@
-"""The size of a photo's ground before the search: from its vehicles, or from a GSD that is given."""
+"""The size of a photo's ground before the search, from its vehicles or from a given GSD."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ..sources.lens import lens_of
 from ..sources.tags import read_tags
 from .level import LevelledPhoto
 
-GSD_TOLD_SD = 0.03  # relative one-sigma of a GSD that is told: maps and terrain are not better. An assumption.
-NADIR_WITHIN = 1.0  # [deg] off straight down, where a wrong focal length moves the foot by 2 % of the altitude at most
+GSD_TOLD_SD = 0.03  # relative one sigma of a given GSD: maps and terrain are no better. An assumption.
+NADIR_WITHIN = 1.0  # [deg] off nadir: a wrong focal length moves the foot by 2 % of the altitude at most
 BY_VEHICLES, BY_WORD = "vehicles", "given"
 
 
@@ -27,9 +27,8 @@ BY_VEHICLES, BY_WORD = "vehicles", "given"
 class ClaimedScale:
     """A photo with its average ground sampling distance [m/px] and 90 % interval.
 
-    by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told. focal_known : whether the
-    photo's focal length is, without which its altitude is not. notes : what is to be said of the fleet and of
-    the vehicles' boxes."""
+    by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where the GSD was given. focal_known : whether the
+    photo's focal length is known; without it, the altitude is not. notes : on the fleet and on the vehicles' boxes."""
 
     photo: Photo
     gsd: Measure
@@ -40,7 +39,7 @@ class ClaimedScale:
 
     @property
     def sd(self) -> float:
-        """Relative one-sigma of the GSD."""
+        """Relative one sigma of the GSD."""
         return float(np.log(self.gsd.high / self.gsd.low) / (2 * Z90))
 
     @property
@@ -50,7 +49,7 @@ class ClaimedScale:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """The ends of the interval, in GSDs."""
+        """The ends of the interval, as multiples of the GSD."""
         return self.gsd.low / self.gsd.value, self.gsd.high / self.gsd.value
 
     def times(self, factor: float) -> ClaimedScale:
@@ -59,15 +58,15 @@ class ClaimedScale:
 
 
 def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
-    """The photo at `path` with a `gsd` [m/px] that is told; `lens` as for `open_photo`. From straight above, to
-    NADIR_WITHIN, a GSD says all of the ground, so there a focal length may be missing. Raises InputError, UsageError.
+    """The photo at `path` with a given `gsd` [m/px]; `lens` as for `open_photo`. Within NADIR_WITHIN of nadir the GSD
+    alone determines the ground, so the focal length may be missing. Raises InputError, UsageError.
     """
     told, tags = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
     if lens.get("lens_file") is None and lens.get("focal_px") is None:
         try:
             lens_of(tags)
         except InputError:
-            any_focal = float(np.hypot(tags.width, tags.height))  # all lead to the same ground
+            any_focal = float(np.hypot(tags.width, tags.height))  # any leads to the same ground
             photo = open_photo(path, name, **lens | {"focal_px": any_focal})
             if -photo.up[2] >= np.cos(np.radians(NADIR_WITHIN)):
                 return ClaimedScale(photo, told, BY_WORD, None, focal_known=False)
@@ -77,7 +76,7 @@ def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
 def claimed_scales(
     paths: Mapping[str, Path], gsd: float | None, how: Looking, progress: Progress | None = None, **lens: Any
 ) -> dict[str, ClaimedScale | OrthoscaleError]:
-    """The scale of each photo of `paths`, or why it has none; from `gsd` [m/px] for all, where that is told.
+    """The scale of each photo of `paths`, or the error why it has none; from `gsd` [m/px] for all, if given.
 
     Raises UsageError; InputError where none of the photos can be read.
     """
@@ -89,7 +88,7 @@ def claimed_scales(
         try:
             if gsd is None:
                 photos.append(open_photo(path, name, **lens))
-                photos[-1].picture.read(0, 0, 1, 1, 1, 1)  # a damaged one is its own outcome, not the end of all
+                photos[-1].picture.read(0, 0, 1, 1, 1, 1)  # lest a damaged photo ends the search for all
             else:
                 found[name] = told_scale(path, name, gsd, **lens)
         except InputError as error:

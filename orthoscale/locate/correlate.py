@@ -12,15 +12,15 @@ import scipy.fft
 from .ground import GroundImage
 from .maps import MapFeatures
 
-# Side of a block of the map, in sides of the largest template: larger ones need more memory, not less time.
+# Side of a block of the map, in sides of the largest template: larger blocks take more memory and save no time.
 FFT_BLOCK = 2.5
 GROUP_BYTES = 2**27  # of templates that are correlated in one pass over the map
 
 
 @dataclass(frozen=True)
 class Template:
-    """A picture turned and scaled in one way. features : (K, h, w) unit vectors, nil where there is no picture.
-    middle : (2,) row and column that stand for its place [cells]. image : its pixels."""
+    """A picture turned and scaled in one way. features : (K, h, w) unit vectors, zero where there is no picture.
+    middle : (2,) row and column of its reference point [cells]. image : its pixels."""
 
     features: np.ndarray
     middle: np.ndarray
@@ -28,11 +28,11 @@ class Template:
 
     @property
     def cells(self) -> int:
-        """How many cells have a picture."""
+        """Number of cells with a picture."""
         return int(np.count_nonzero(np.abs(self.features).sum(0)))
 
     def mirrored(self, mapped: MapFeatures) -> Template:
-        """The template of the picture's mirror image, in the features of `mapped`."""
+        """The template of the picture's mirror image, with features as those of `mapped`."""
         image = self.image.mirrored()
         features = mapped.usual.of_features(mapped.features.of(image.pixels, image.valid))
         return Template(features, self.middle, image)
@@ -40,7 +40,8 @@ class Template:
 
 @dataclass(frozen=True)
 class Peak:
-    """A place that agrees: mean cosine `score` of `template` (its number), the middle at `row`, `column` [cells]."""
+    """A place on the map that matches: mean cosine `score`, index of the `template`, and `row`, `column` of its middle
+    [cells]."""
 
     score: float
     template: int
@@ -59,7 +60,7 @@ def search(
     """The `most` best places of `templates` with their middles in `area` (row, column, height, width) [cells], best
     first, no two nearer than `apart` [cells].
 
-    window : gives (K, height, width) features of a window of the map (row, column, height, width).
+    window : returns (K, height, width) features of a window of the map (row, column, height, width).
     """
     best, which = correlated(templates, window, area, step)
     return peaks(best, which, area[:2], apart, most)
@@ -71,10 +72,10 @@ def correlated(
     area: tuple[int, int, int, int],
     step: Callable[[int, int], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(height, width) mean cosine of the best template with its middle at each cell of `area`, and its number."""
+    """(height, width) mean cosine of the best template with its middle at each cell of `area`, and that one's index."""
     top, left, height, width = area
     pad = np.max([np.rint(t.middle) for t in templates], axis=0).astype(int)
-    # Each template is shifted so that its middle lies at `pad`: then all agree on what a place is.
+    # Each template is shifted so that its middle lies at `pad`; then the same cell is the same place for all.
     starts = [pad - np.rint(t.middle).astype(int) for t in templates]
     reach = np.max([s + t.features.shape[1:] for s, t in zip(starts, templates, strict=True)], axis=0)
     size = [scipy.fft.next_fast_len(int(min(FFT_BLOCK * r, r + extent)), real=True)
@@ -128,7 +129,7 @@ def peaks(best: np.ndarray, which: np.ndarray, corner: Sequence[int], apart: flo
 
 
 def _spectrum(template: Template, start: np.ndarray, size: Sequence[int]) -> np.ndarray:
-    """(K, *) conjugate spectrum of a template, divided by the cells that it has."""
+    """(K, *) conjugate spectrum of a template, divided by the number of its cells."""
     channels, high, wide = template.features.shape
     padded = np.zeros((channels, *size), np.float32)
     padded[:, start[0] : start[0] + high, start[1] : start[1] + wide] = template.features / max(template.cells, 1)

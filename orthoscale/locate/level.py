@@ -15,24 +15,24 @@ from ..errors import TooLittleEvidence
 from ..photos.measure import Photo
 from .ground import GroundImage
 
-EDGE_POINTS = 24  # along each side of the photo, whose places on the ground tell how far it reaches
+EDGE_POINTS = 24  # along each side of a grid over the photo, by which its extent on the ground is found
 
 
 @dataclass(frozen=True)
 class LevelledPhoto:
-    """The ground below `photo`, taken to be level, `altitude` claimed metres under the camera. Its own place is the
-    camera's foot; up is where the photo's top points."""
+    """The ground below `photo`, assumed level, `altitude` claimed metres under the camera. Its reference point is the
+    camera's foot; its top is where the photo's top points."""
 
     photo: Photo
     altitude: float
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """(N, 2) places that the photo shows [claimed m, right and down of the foot]; what it sees flatter than
-        LOWEST_ELEVATION below the horizon is left out. Raises TooLittleEvidence where that is all."""
+        """(N, 2) places that the photo shows [claimed m, right and down of the foot], without those seen at less than
+        LOWEST_ELEVATION below the horizon. Raises TooLittleEvidence where none is left."""
         width, height = self.photo.tags.width, self.photo.tags.height
         along = np.linspace(0, 1, EDGE_POINTS)
-        # A grid, not the edge alone: where the edge lies above the horizon, the inside tells how far to look.
+        # A grid, not only the edge: where the edge lies above the horizon, the inside gives the extent.
         x, y = (side.ravel() for side in np.meshgrid(along * width, along * height))
         views, seen = self.photo.views(np.column_stack([x, y]), self.altitude)
         if not seen.any():
@@ -64,7 +64,7 @@ class LevelledPhoto:
         ground = low + gsd * np.stack([x, y], -1)
         pixels, seen = self._pixels_of(ground.reshape(-1, 2))
         tags = self.photo.tags
-        # Averaged to about the resolution that is wanted before it is resampled, lest it alias.
+        # Averaged to about the wanted resolution before resampling, to avoid aliasing.
         nadir = self.altitude / self.photo.lens.focal_px
         shrink = max(1.0, gsd / nadir)
         out = max(1, round(tags.width / shrink)), max(1, round(tags.height / shrink))

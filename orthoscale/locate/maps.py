@@ -15,19 +15,19 @@ from ..sources.satellite import Satellite
 from .features import Features
 from .ground import has_data
 
-FEATURE_TILE = 96  # [cells] side of what is described at once
-GRID_STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
-# What decides over a map's features:
+FEATURE_TILE = 96  # [cells] side of a tile of features
+GRID_STEP = 2**0.5  # ratio of the resolutions at which a map's features are made: photos of similar sizes share them
+# Code that determines a map's features, for the cache:
 FEATURE_CODE = ("locate/maps.py", "locate/features.py", "locate/ground.py", *RASTER_CODE)
-IN_MEMORY = 64  # tiles; with 64 channels 75 MB
-SAMPLED_TILES = 24  # tiles that tell what is usual on a map
+IN_MEMORY = 64  # tiles; 75 MB with 64 channels
+SAMPLED_TILES = 24  # tiles from which `Usual` is computed
 
 
 @dataclass(frozen=True)
 class MapGrid:
     """A georeferenced map on a grid of square pixels of `gsd` ground metres; x right and y down from its corner.
 
-    pixel : (2,) ground metres of one of the map's own pixels, across and down, at its middle.
+    pixel : (2,) size on the ground of the map's own pixels, across and down, at the map's middle [m].
     """
 
     satellite: Satellite
@@ -36,7 +36,7 @@ class MapGrid:
 
     @classmethod
     def of(cls, satellite: Satellite, coarsest: float) -> MapGrid:
-        """That of the finest gsd of a fixed series which is not finer than `coarsest` [m/px], nor than the map."""
+        """The grid with the finest gsd of a fixed series that is not finer than `coarsest` [m/px], nor than the map."""
         pixel = satellite.pixel_size(np.array([satellite.source.width, satellite.source.height]) / 2)
         own = float(np.sqrt(pixel.prod()))
         steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(GRID_STEP) - 1e-9)))
@@ -48,11 +48,11 @@ class MapGrid:
         return np.array([self.satellite.source.width, self.satellite.source.height]) * self.pixel / self.gsd
 
     def map_pixel(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) the map's own pixels, of places (N, 2) on the grid."""
+        """(N, 2) the map's own pixels at places (N, 2) on the grid."""
         return np.asarray(place) * self.gsd / self.pixel
 
     def place_of(self, map_pixel: np.ndarray) -> np.ndarray:
-        """(N, 2) places on the grid, of the map's own pixels (N, 2)."""
+        """(N, 2) places on the grid of the map's own pixels (N, 2)."""
         return np.asarray(map_pixel) * self.pixel / self.gsd
 
     def read(self, x: int, y: int, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -79,26 +79,26 @@ class MapGrid:
 
 @dataclass(frozen=True)
 class Usual:
-    """What is usual on a map, taken off its features so that what is unusual decides: their mean (C,), and the basis
-    (K, C) in which they are uncorrelated and of one spread."""
+    """What is usual on a map: the mean (C,) of its features, and the basis (K, C) in which they are uncorrelated and of
+    equal variance. Features are whitened by it, so that unusual places count most."""
 
     mean: np.ndarray
     basis: np.ndarray
 
     @classmethod
     def of(cls, samples: Sequence[np.ndarray], channels: int) -> Usual:
-        """From features (C, H, W), keeping the `channels` that vary most, or fewer. Nil vectors do not count."""
+        """From features (C, H, W), keeping at most `channels`, those that vary most. Zero vectors do not count."""
         rows = np.concatenate([f[:, np.abs(f).sum(0) > 0].T for f in samples]).astype(np.float64)
         if len(rows) < 2:
             return cls(np.zeros(samples[0].shape[0], np.float32), np.eye(samples[0].shape[0], dtype=np.float32))
         spread, axes = np.linalg.eigh(np.cov(rows.T))
         keep = np.argsort(spread)[::-1][:channels]
-        floor = 0.01 * spread.max()  # what hardly varies is noise, and stays small
+        floor = 0.01 * spread.max()  # channels that hardly vary are noise, and stay small
         basis = axes[:, keep].T / np.sqrt(spread[keep] + floor)[:, None]
         return cls(rows.mean(0).astype(np.float32), basis.astype(np.float32))
 
     def of_features(self, features: np.ndarray) -> np.ndarray:
-        """(K, H, W) unit vectors of features (C, H, W); nil ones remain nil."""
+        """(K, H, W) whitened unit vectors of features (C, H, W); zero vectors stay zero."""
         nil = np.abs(features).sum(0) == 0
         turned = np.tensordot(self.basis, features - self.mean[:, None, None], 1)
         turned /= np.linalg.norm(turned, axis=0) + 1e-6
@@ -107,7 +107,7 @@ class Usual:
 
 
 class MapFeatures:
-    """The dense features of a map on a `MapGrid`, made when they are asked for, and kept in the user's cache."""
+    """The dense features of a map on a `MapGrid`, made when needed and kept in the user's cache."""
 
     def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
         self.grid, self.features = grid, features
@@ -131,7 +131,7 @@ class MapFeatures:
         return Usual.of([self._tile(*tiles[k]) for k in chosen], self._channels)
 
     def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
-        """(K, height, width) unit vectors of a window [cells], which may reach beyond the map; nil there."""
+        """(K, height, width) unit vectors of a window [cells]; zero where it reaches beyond the map."""
         first = None
         for r in range(max(row, 0) // FEATURE_TILE * FEATURE_TILE, min(row + height, self.shape[0]), FEATURE_TILE):
             for c in range(
@@ -150,7 +150,7 @@ class MapFeatures:
         return self.usual.of_features(first)
 
     def finer(self, coarsest: float) -> MapFeatures:
-        """The same map's features on the grid for `coarsest` [m/px], with what is usual taken from this one."""
+        """Features of the same map on the grid for `coarsest` [m/px], with the `usual` of this one."""
         grid = MapGrid.of(self.grid.satellite, coarsest)
         fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
         fine.usual = self.usual

@@ -1,4 +1,4 @@
-"""The two measurements of a photo's scale: by its vehicles, and by the map that it was matched with."""
+"""The two measurements of a photo's scale: by its vehicles, and by the map with which it was matched."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .claimed import BY_WORD, ClaimedScale
 class Opinions:
     """Average GSDs of one photo [m/px], each with its 90 % interval.
 
-    claimed : before the search, by `by`. matched : by the map. together : of both, where they agree. sigmas : how far
-    apart they are.
+    claimed : before the search, from `by` (vehicles or a given GSD). matched : by the map. together : both combined,
+    None where they contradict. sigmas : the distance between them.
     """
 
     claimed: Measure
@@ -33,7 +33,7 @@ class Opinions:
 
     @property
     def said(self) -> str:
-        """What to think of the two, in words."""
+        """Whether the two agree, in words."""
         verb = "contradict each other" if self.contradict else "agree"
         ratio = self.claimed.value / self.matched.value
         return f"the {self._who} and the map {verb}: {ratio:.3f} times, {self.sigmas:.1f} sigmas apart"
@@ -44,7 +44,8 @@ class Opinions:
 
 
 def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions:
-    """Of a photo whose ground is `factor` times as large as claimed, with relative one-sigma `factor_sd`."""
+    """The two scales of a photo whose ground is `factor` times as large as claimed, with relative one sigma
+    `factor_sd`."""
     value = claimed.gsd.value * factor
     matched = Measure.log_normal(value, factor_sd)
     before = Posterior.normal(float(np.log(claimed.gsd.value)), claimed.sd)

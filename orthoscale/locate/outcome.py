@@ -21,7 +21,8 @@ FORMAT_OF_LOCATED = "orthoscale locate 1"
 
 @dataclass(frozen=True)
 class LocateOutcome:
-    """One photo: its scale and what the search found, or the error that came before. seconds : that the search took."""
+    """One photo: its scale and what the search found, or the error before that. seconds : duration of the search
+    [s]."""
 
     name: str
     claimed: ClaimedScale | None
@@ -31,12 +32,12 @@ class LocateOutcome:
 
     @property
     def located(self) -> Candidate | None:
-        """Where the photo was taken, None where that is not known."""
+        """Where the photo was taken; None if that is not known."""
         return self.registration.located if self.registration else None
 
     @property
     def problem(self) -> OrthoscaleError | None:
-        """Why it was not located, with the exit code of that; None where it was."""
+        """Why the photo was not located, as an error with its exit code; None if it was."""
         if self.error is not None:
             return self.error
         assert self.registration is not None
@@ -52,14 +53,14 @@ class LocateOutcome:
 
     @property
     def scales(self) -> Opinions | None:
-        """The scale before the search beside the one of the map; None where it was not located."""
+        """The scale before the search and the map's; None if the photo was not located."""
         if self.located is None or self.claimed is None or self.registration is None:
             return None
         return opinions(self.claimed, self.located.scale, self.registration.scale_sd)
 
 
 def footprint(outcome: LocateOutcome, candidate: Candidate) -> np.ndarray | None:
-    """(4, 2) longitude and latitude of the photo's corners at a `candidate`, from the upper left clockwise; None when a
+    """(4, 2) longitude and latitude of the photo's corners at a `candidate`, clockwise from the upper left; None if a
     corner lies near the horizon."""
     assert outcome.claimed is not None
     corners = outcome.claimed.levelled.corners
@@ -67,12 +68,13 @@ def footprint(outcome: LocateOutcome, candidate: Candidate) -> np.ndarray | None
 
 
 def foot(candidate: Candidate) -> np.ndarray:
-    """(2,) longitude and latitude below the camera."""
+    """(2,) longitude and latitude of the point below the camera."""
     return candidate.lon_lat(np.zeros((1, 2)))[0]
 
 
 def all_failed(outcomes: Sequence[LocateOutcome]) -> OrthoscaleError | None:
-    """What to end with where no photo was located: the only one's problem, or the gravest of several; else None."""
+    """The error to end with if no photo was located: the problem of the only photo, or the gravest of several; else
+    None."""
     problems = [problem for outcome in outcomes if (problem := outcome.problem) is not None]
     if len(problems) < len(outcomes):
         return None
@@ -84,7 +86,7 @@ def all_failed(outcomes: Sequence[LocateOutcome]) -> OrthoscaleError | None:
 
 
 def document(outcomes: Sequence[LocateOutcome], satellite: Satellite, told: dict[str, Any]) -> dict[str, Any]:
-    """Everything, as `located.json` has it; `told` is what was asked for."""
+    """All results, as in `located.json`. told : further entries, on the search as a whole."""
     return {
         "format": FORMAT_OF_LOCATED,
         "satellite": str(satellite.source.path),
@@ -96,7 +98,7 @@ def document(outcomes: Sequence[LocateOutcome], satellite: Satellite, told: dict
 
 
 def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
-    """One photo; a place is [longitude, latitude], lengths are in metres and headings clockwise from north."""
+    """The entry of one photo: places are [longitude, latitude], lengths in metres, headings clockwise from north."""
     problem, best, scales = outcome.problem, outcome.located, outcome.scales
     values: dict[str, Any] = {
         "photo": outcome.name,
@@ -136,7 +138,7 @@ def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
 
 
 def candidate_rows(outcome: LocateOutcome, satellite: Satellite) -> list[dict[str, Any]]:
-    """A row per verified place, best first."""
+    """A row for each verified place, best first."""
     assert outcome.registration is not None
     rows = []
     for rank, each in enumerate(outcome.registration.candidates, 1):

@@ -1,8 +1,8 @@
 """Registers a picture of the ground on a georeferenced map: its position, orientation and scale.
 
-The picture is turned and scaled in all the ways that are possible, each is correlated with the map, and the best places
-are verified by local matches that agree on one similarity transform. How many must agree follows from the counts that
-the same picture reaches at wrong places of the same map.
+The picture is turned and scaled in all possible ways, each is correlated with the map, and the best places are verified
+by local matches that agree on one similarity transform. How many must agree follows from the counts that the same
+picture reaches at wrong places of the same map.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from .maps import MapFeatures, MapGrid
 from .verify import PlaneSimilarity, Verified, needed, verified
 
 ACROSS = 320.0  # [px] to which the longer side of a picture is brought
-FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
-EVERY = 2  # cells across and down of the picture that the last look matches
+FINER = 640.0  # [px] the same for the refinement at the best place, if the map has so much detail
+EVERY = 2  # the refinement matches every second cell of the picture, across and down
 SMALLEST_ON_MAP = 96.0  # [px] that the shorter side of a picture must have on the map
-SCALE_STEP = 1.1  # between the scales that are tried: the features still agree half of it off
+SCALE_STEP = 1.1  # ratio of the scales that are tried: features still agree at half a step off
 HEADING_STEP = np.radians(10.0)  # between the headings; half of it moves the edge of a picture by 4 % of its size
-HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sides
-MOST_STEPS = 12  # of scales; factor 3
-CHANNELS = 24  # that are correlated
-VERIFIED = 20  # candidates that are verified
-NEGATIVES = 20  # places of the mirrored picture that tell how many matches agree by chance
+HEADING_SD = np.radians(8.0)  # error allowed for a known heading, to both sides
+MOST_STEPS = 12  # number of scales; they span a factor of 3
+CHANNELS = 24  # of the features that are correlated
+VERIFIED = 20  # number of candidates that are verified
+NEGATIVES = 20  # places of the mirrored picture that show how many matches agree by chance
 MIRRORED_WAYS = 12  # ways in which the mirrored picture is searched
-LEAST_COVERED = 0.5  # share of a wrong place in which the map has data, for it to tell anything
-LEAST_MATCHES = 12  # matches that must agree however few do elsewhere ...
-LEAST_SQUARES = 10  # ... and squares of the picture that they must lie in; wrong places reach 7, right ones mostly 20
+LEAST_COVERED = 0.5  # least share of a wrong place with data of the map, for its count to mean anything
+LEAST_MATCHES = 12  # that must agree, however few do elsewhere ...
+LEAST_SQUARES = 10  # ... and squares of the picture in which they must lie; wrong places reach 7, right ones mostly 20
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
-ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
-LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
+ANOTHER_PLACE = 0.25  # [pictures' diagonals] least distance between different places
+LEVELLING_SD = 0.005  # relative, of the map's scale: neither terrain nor picture is quite level. An assumption.
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Known:
     """What is known before the search.
 
     scales : (lowest, highest) true metres per claimed metre of the picture. heading : of its top, clockwise from north
-    [rad]; None if any. prior : (longitude, latitude, radius [m]) that the middle of its ground lies in; None for the
-    whole map.
+    [rad]; None if unknown. prior : (longitude, latitude, radius [m]) of a circle in which the middle of its ground
+    lies; None for the whole map.
     """
 
     scales: tuple[float, float] = (1.0, 1.0)
@@ -61,10 +61,11 @@ class Known:
 class Candidate:
     """A place that was verified.
 
-    pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
-    of the search. inliers : matches that agree; squares : in so many of the picture. middle : (2,) longitude and
-    latitude of the middle of the picture's ground [deg]. heading : of the picture's top, clockwise from north [rad].
-    scale : true metres per claimed metre; scatter : its relative one-sigma, by how far the matches scatter. matches :
+    pose : from claimed metres of the picture, right and down of its reference point, to pixels of `grid`. score : mean
+    cosine of the search. inliers : number of matches that agree; squares : number of squares in which they lie, see
+    `Verified`. middle : (2,) longitude and latitude of the middle of the picture's ground [deg]. heading : of the
+    picture's top, clockwise from north [rad].
+    scale : true metres per claimed metre; scatter : its relative one sigma, by the scatter of the matches. matches :
     (N, 4) those that agree: x, y of the picture [claimed m right and down], x, y of the map [its pixels].
     """
 
@@ -80,7 +81,7 @@ class Candidate:
     matches: np.ndarray
 
     def map_pixels(self, places: np.ndarray) -> np.ndarray:
-        """(N, 2) the map's own pixels, of places (N, 2) of the picture [claimed m right and down]."""
+        """(N, 2) the map's own pixels at places (N, 2) of the picture [claimed m right and down]."""
         return self.grid.map_pixel(self.pose(places))
 
     def lon_lat(self, places: np.ndarray) -> np.ndarray:
@@ -90,11 +91,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Registration:
-    """What came of it.
+    """The result of a registration.
 
-    candidates : the verified places, best first; none where nothing on the map resembles the picture. needed : matches
-    that must agree. rival : the number of another candidate about as good as the first, None where there is none.
-    scale_sd : relative one-sigma of the first one's scale, infinite where it is not good enough.
+    candidates : the verified places, best first; none if nothing on the map resembles the picture. needed : number of
+    matches that must agree. rival : index of another candidate about as good as the first, None if there is none.
+    scale_sd : relative one sigma of the first one's scale, infinite if it is not good enough.
     """
 
     candidates: tuple[Candidate, ...]
@@ -109,12 +110,12 @@ class Registration:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether two places match about equally well, and well enough."""
+        """Whether two places match well enough, and about equally well."""
         return self.rival is not None
 
     @property
     def problem(self) -> str:
-        """Why the picture was not located, in words; '' where it was."""
+        """Why the picture was not located, in words; '' if it was."""
         if not self.candidates:
             return "nothing on the map resembles it"
         best = self.candidates[0].inliers
@@ -139,9 +140,9 @@ def register(
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
-    cache : keep the map's features for the next picture. step : is told of the progress. finder : finds the places
-    that are verified; by default correlation of `features`.
-    Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on it.
+    cache : whether to keep the map's features for the next picture. step : called with the progress. finder : finds the
+    places to verify; by default, correlation of `features`.
+    Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on the map.
     """
     grid = grid_for(seen, satellite, known.scales)
     mapped = MapFeatures(grid, features, CHANNELS, cache)
@@ -189,7 +190,7 @@ def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> 
 
 
 def search_area(mapped: MapFeatures, prior: tuple[float, float, float] | None) -> tuple[int, int, int, int]:
-    """Row, column, height and width of what is searched [cells]. Raises UsageError for a prior outside of the map."""
+    """Row, column, height and width of the area to search [cells]. Raises UsageError for a prior outside of the map."""
     height, width = mapped.shape
     if prior is None:
         return 0, 0, height, width
@@ -209,7 +210,7 @@ def search_area(mapped: MapFeatures, prior: tuple[float, float, float] | None) -
 
 
 def up_of(grid: MapGrid, area: tuple[int, int, int, int], stride: int) -> float:
-    """Which way the map's columns go up at the middle of `area` [cells], clockwise from north [rad]."""
+    """The direction of the map's up at the middle of `area` [cells], clockwise from north [rad]."""
     top, left, height, width = area
     middle = grid.map_pixel(np.array([left + width / 2, top + height / 2]) * stride)
     here, above = grid.satellite.lon_lat(np.stack([middle, middle - (0.0, 50.0)]))
@@ -217,7 +218,7 @@ def up_of(grid: MapGrid, area: tuple[int, int, int, int], stride: int) -> float:
 
 
 def scale_steps(scales: tuple[float, float]) -> np.ndarray:
-    """The scales that are tried, evenly by ratio from the lowest to the highest. Raises UsageError for too many."""
+    """The scales to try, at equal ratios from the lowest to the highest. Raises UsageError for too many."""
     low, high = scales
     steps = int(np.ceil(np.log(high / low) / np.log(SCALE_STEP) - 1e-9)) + 1 if high > low else 1
     if steps > MOST_STEPS:
@@ -229,7 +230,8 @@ def scale_steps(scales: tuple[float, float]) -> np.ndarray:
 
 
 def heading_steps(heading: float | None, up: float) -> np.ndarray:
-    """The turns that are tried [rad], clockwise from the map's up, which points to `up` from north."""
+    """The turns to try [rad], clockwise from the map's up; `up` is the direction of that, clockwise from north
+    [rad]."""
     if heading is None:
         return np.arange(0, 2 * np.pi - 1e-9, HEADING_STEP)
     return heading - up + np.array([-1.0, 0.0, 1.0]) * HEADING_SD
@@ -252,7 +254,7 @@ class Way:
 
 
 class PlaceFinder(Protocol):
-    """Finds the places that are worth verifying."""
+    """Finds places on the map that are worth verifying."""
 
     def __call__(
         self,
@@ -263,19 +265,19 @@ class PlaceFinder(Protocol):
         most: int,
         step: Callable[[int, int], None] | None = None,
     ) -> list[Peak]:
-        """The `most` best places of the pictures `ways` with their middles in `area` (row, column, height, width), no
-        two nearer than `apart` [cells], best first. Raises InputError."""
+        """The `most` best places of the pictures `ways` with their middles in `area` (row, column, height, width)
+        [cells], no two nearer than `apart` [cells], best first. Raises InputError."""
         ...
 
 
-Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
+Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and the matches there
 
 
 def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int], apart: float) -> list[Verified]:
-    """Looks at places where the picture certainly is not: the best ones of its mirror image, found as its own are.
+    """Looks at places where the picture certainly is not: the best places of its mirror image, found in the same way.
 
-    Of some of the `ways`, no two places nearer than `apart` [cells]. What is built alike, rows of houses or bays,
-    agrees in parts with a mirror image too."""
+    Only some of the `ways` are used; no two places are nearer than `apart` [cells]. Repeated structures, such as rows
+    of houses or bays, agree in part with a mirror image too."""
     some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
     templates = [ways[k].template.mirrored(mapped) for k in some]
     found = search(templates, mapped.window, area, apart, NEGATIVES)
@@ -283,8 +285,8 @@ def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int
 
 
 def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, apart: float) -> list[Look]:
-    """`looks` with most matches first, without those whose matches lead to a place that a better one has: two peaks
-    side by side may be one place. apart : as of `search` [cells]."""
+    """`looks` with most matches first, without those whose matches lead to the place of a better one: two peaks side by
+    side may be one place. apart : as in `search` [cells]."""
     kept: list[Look] = []
     places: list[np.ndarray] = []
     for look in sorted(looks, key=lambda each: -each[2].count):
@@ -299,7 +301,7 @@ def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, ap
 
 
 def judged(candidates: Sequence[Candidate], enough: int, seen: Query, mapped: MapFeatures) -> Registration:
-    """The result of `candidates`, best first, of which one with `enough` matches is right."""
+    """The result for `candidates`, best first: the first is right if it has `enough` matches, in enough squares."""
     if not candidates:
         return Registration((), enough, None, float("inf"))
     best = candidates[0]
@@ -312,8 +314,8 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Query, mapped: Ma
 
 
 def refined(best: Candidate, seen: Query, mapped: MapFeatures) -> tuple[Candidate, float]:
-    """`best` by one more look on a finer grid, turned and scaled as it was found; and what its matches' scatter leaves
-    of its scale, one sigma. Its count remains that of the first look."""
+    """`best` after one more look on a finer grid, turned and scaled as it was found; and the relative one sigma of its
+    scale by the scatter of its matches. Its counts stay those of the first look."""
     fine = mapped.finer(float(seen.size.max()) * best.scale / FINER)
     own = best.pose.scale * best.grid.gsd  # of the grid's metres
     image = seen.at(fine.grid.gsd / own)
@@ -337,11 +339,11 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     ahead = grid.map_pixel(pose(image.middle[None] - (0.0, image.size[1] / 4)))
     here, above = grid.satellite.lon_lat(np.concatenate([middle, ahead]))
     heading = float(np.radians(pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]) % (2 * np.pi))
-    # The grid's metres are those at the map's middle; projections stretch by place.
+    # The grid's metres hold at the map's middle; elsewhere a map projection stretches lengths.
     local = float(np.sqrt((grid.satellite.pixel_size(middle[0]) / grid.pixel).prod()))
     agreed = look.matches[look.fit.inliers] * stride
     matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
-    # Blocks that overlap are not independent: what block**2 of them say is worth one.
+    # Overlapping blocks are not independent: block**2 of them count as one.
     scatter = look.fit.scale_sd * mapped.features.block
     own = pose.scale * grid.gsd * local
     return Candidate(grid, pose, peak.score, look.count, look.squares, here, heading, own, scatter, matches)

@@ -1,7 +1,7 @@
 """Windows of the map that an embedding network finds most similar to the photo (the paradigm of arXiv 2603.07535).
 
-The map is cut into squares as large as the photo's ground, each shifted by half of its side. Network and card are the
-user's: an ONNX file with one image as its input and one vector as its output. It runs in a process of its own.
+The map is cut into squares as large as the photo's ground, each shifted by half of its side. The user supplies the
+network and its card: an ONNX file with one image as input and one vector as output. It runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from .ground import GroundImage
 from .maps import MapFeatures, MapGrid
 from .register import Way
 
-WINDOW_STRIDE = 0.5  # of a window's side by which the next one is shifted; the paper's
-EMBEDDING_METADATA = "orthoscale"  # of the ONNX file, where the card is
-EMBEDDING_SIZE = 224  # [px] of the network's input, where neither file nor card tells it
+WINDOW_STRIDE = 0.5  # of a window's side by which the next one is shifted; as in the paper
+EMBEDDING_METADATA = "orthoscale"  # key of the ONNX file's metadata that holds the card
+EMBEDDING_SIZE = 224  # [px] side of the network's input, if neither file nor card gives it
 EMBEDDING_CARD, EMBEDDING_HINT = (
     "a card of an embedding network",
     "See docs/locate.md: its name, size and normalisation, all optional.",
@@ -38,7 +38,7 @@ EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", *RASTER_CODE)
 
 @dataclass(frozen=True)
 class EmbeddingCard:
-    """What an embedding network says of itself. size : of its square input [px]."""
+    """The card of an embedding network. size : side of its square input [px]."""
 
     name: str
     size: int
@@ -46,10 +46,10 @@ class EmbeddingCard:
 
 
 class Embedding:
-    """A network from a picture to a unit vector. notes : what was assumed of it."""
+    """A network that makes a unit vector from a picture. notes : what was assumed about it."""
 
     def __init__(self, path: Path):
-        """Raises InputError for what is no such network."""
+        """Load the network at `path`. Raises InputError for any other file."""
         self.path, content, self._network = load_network(path, "", os.cpu_count() or 1)
         self.sha256 = hashlib.sha256(content).hexdigest()
         self.notes: list[str] = []
@@ -104,7 +104,8 @@ class Embedding:
 
 @dataclass(frozen=True)
 class Retrieval:
-    """A `register.PlaceFinder`: the windows most like the photo by `photo` and `ground`, the networks for either."""
+    """A `register.PlaceFinder`: the windows most similar to the photo, by the networks `photo` and `ground` for either
+    side."""
 
     photo: Embedding
     ground: Embedding
@@ -113,7 +114,7 @@ class Retrieval:
 
     @classmethod
     def open(cls, photo: Path, ground: Path | None, cache: bool) -> Retrieval:
-        """By one network for both, or two. Raises InputError."""
+        """Load one network for both sides, or two. Raises InputError."""
         one = Embedding(photo)
         other = one if ground is None else Embedding(ground)
         return cls(one, other, cache, tuple(dict.fromkeys([*one.notes, *other.notes])))
@@ -127,7 +128,7 @@ class Retrieval:
         most: int,
         step: Callable[[int, int], None] | None = None,
     ) -> list[Peak]:
-        """See `register.PlaceFinder`. `apart` does not matter: windows are as far apart as their stride."""
+        """See `register.PlaceFinder`. `apart` is not used: the stride sets how far windows are apart."""
         grid, stride = mapped.grid, mapped.features.stride
         squares = [central_square(way.template.image) for way in ways]
         side = int(np.median([len(square) for square in squares]))
@@ -146,7 +147,8 @@ class Retrieval:
         ]
 
     def _windows(self, grid: MapGrid, side: int) -> Callable[[int, int], np.ndarray]:
-        """The vector of the window of `side` px of `grid` at a row and a column; kept for the next photo."""
+        """A function that gives the vector of the window of `side` px of `grid` at a row and a column; vectors are kept
+        for the next photo."""
         settings = {"network": self.ground.sha256, "card": repr(self.ground.card), "gsd": grid.gsd, "side": side}
         key = content_key([grid.satellite.source], settings, EMBEDDING_CODE) if self.cache else None
         kept = None if key is None else Kept(key)
@@ -165,7 +167,7 @@ class Retrieval:
 
 
 def central_square(image: GroundImage) -> np.ndarray:
-    """(S, S, 3) the largest square about the middle of a turned picture in which all is picture."""
+    """(S, S, 3) the largest square about the middle of a turned picture in which every pixel is valid."""
     rows, columns = np.nonzero(image.valid)
     row, column = (int(each.min() + each.max() + 1) // 2 for each in (rows, columns))
     low, high = 1, min(row, column, image.valid.shape[0] - row, image.valid.shape[1] - column)
@@ -179,8 +181,8 @@ def central_square(image: GroundImage) -> np.ndarray:
 
 
 def centres(area: tuple[int, int, int, int], side: float) -> np.ndarray:
-    """(N, 2) rows and columns of the middles of squares of `side` that cover `area` (row, column, height, width), each
-    shifted by WINDOW_STRIDE of its side at most."""
+    """(N, 2) rows and columns of the middles of squares of `side` that cover `area` (row, column, height, width)
+    [cells], each shifted by at most WINDOW_STRIDE of its side."""
     top, left, height, width = area
     along = [np.linspace(0, size, max(2, int(np.ceil(size / (WINDOW_STRIDE * side))) + 1)) for size in (height, width)]
     rows, columns = np.meshgrid(top + along[0], left + along[1], indexing="ij")

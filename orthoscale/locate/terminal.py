@@ -9,7 +9,7 @@ from ..core.scale import with_interval
 
 
 def summary(text: dict[str, Any], out: Path) -> str:
-    """Lines for the document of `outcome.document`, and what was written to the folder `out`."""
+    """Lines for the result `text` of `outcome.document`, and the names of the files in the folder `out`."""
     lines: list[str] = []
     for photo in text["photos"]:
         lines += [f"photo      {photo['photo']}", *_lines(photo)]

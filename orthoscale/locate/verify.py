@@ -10,34 +10,35 @@ import numpy as np
 from .correlate import Peak, Template
 from .maps import MapFeatures
 
-RANSAC_DRAWS = 2000  # pairs of matches that are tried; with a tenth of them right, 20 are of two right ones
-MATCH_TOLERANCE = 1.5  # [cells] up to which a match agrees
+RANSAC_DRAWS = 2000  # pairs of matches that are tried; if a tenth of the matches is right, 20 pairs have two right ones
+MATCH_TOLERANCE = 1.5  # [cells] within which a match agrees
 MOST_TURNED = np.radians(20.0)  # a candidate's heading is at most this far off, its scale at most by this factor
 MOST_STRETCHED = 1.35
-SHORTEST_PAIR = 4.0  # [cells] between two matches that are to tell a similarity
-REFITS = 5  # rounds of fitting and choosing anew
+SHORTEST_PAIR = 4.0  # [cells] least distance of two matches that define a similarity
+REFITS = 5  # most rounds of fitting and choosing inliers again
 SQUARE = 4  # [cells] side of the squares that `Verified.squares` counts, about a block
-WINDOW_MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
-FALSE_RATE = 1e-4  # probability that any of the places that are verified has as many matches as needed by chance
-GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(4 / 3))  # of the standard one
+WINDOW_MARGIN = 0.125  # of the picture, by which the map's window is larger on each side
+FALSE_RATE = 1e-4  # probability that any of the verified places has as many matches as needed by chance
+# Median and interquartile range of the standard Gumbel distribution.
+GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(4 / 3))
 
 
 @dataclass(frozen=True)
 class PlaneSimilarity:
-    """The map from one plane to another that keeps angles: ``w = factor z + shift`` in complex numbers, x + i y with y
-    down; the angle of `factor` is a turn clockwise on screen."""
+    """A similarity transform of the plane: ``w = factor z + shift`` in complex numbers, x + i y with y down; the angle
+    of `factor` is a turn clockwise on screen."""
 
     factor: complex
     shift: complex
 
     @property
     def scale(self) -> float:
-        """How many times longer lengths become."""
+        """The factor by which lengths grow."""
         return abs(self.factor)
 
     @property
     def turn(self) -> float:
-        """Clockwise on screen [rad]."""
+        """The rotation, clockwise on screen [rad]."""
         return float(np.angle(self.factor))
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -46,7 +47,7 @@ class PlaneSimilarity:
         return np.stack([image.real, image.imag], -1)
 
     def after(self, other: PlaneSimilarity) -> PlaneSimilarity:
-        """First `other`, then this."""
+        """The composition: first `other`, then this one."""
         return PlaneSimilarity(self.factor * other.factor, self.factor * other.shift + self.shift)
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
@@ -64,7 +65,7 @@ class PlaneSimilarity:
 class SimilarityFit:
     """A similarity and the matches that agree on it.
 
-    inliers : (N,) bool of the matches. scale_sd : relative one-sigma of its scale, from their scatter.
+    inliers : (N,) bool, whether a match agrees. scale_sd : relative one sigma of the scale, from their scatter.
     """
 
     similarity: PlaneSimilarity
@@ -80,8 +81,8 @@ class SimilarityFit:
 @dataclass(frozen=True)
 class Verified:
     """A look at one place. matches : (N, 4) x, y of the template and x, y of the map [cells]. fit : the similarity on
-    which most of them agree, from the template's cells to the map's; None where there are too few. covered : share of
-    what was looked at in which the map has data."""
+    which most of them agree, from the template's cells to the map's; None if there are too few. covered : share of the
+    window in which the map has data."""
 
     matches: np.ndarray
     fit: SimilarityFit | None
@@ -94,8 +95,8 @@ class Verified:
 
     @property
     def squares(self) -> int:
-        """In how many squares of the picture, or of the map where that is fewer, they lie. Blocks overlap: one roof
-        that is alike by chance makes many matches side by side."""
+        """Number of squares of the picture, or of the map if fewer, in which the agreeing matches lie. Blocks overlap,
+        so one roof that is similar by chance makes many matches side by side."""
         if self.fit is None:
             return 0
         places = self.matches[self.fit.inliers] // SQUARE
@@ -103,7 +104,7 @@ class Verified:
 
 
 def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1) -> Verified:
-    """Match `template` with the map around `peak`; `every` so many of its cells across and down."""
+    """Match `template` with the map around `peak`. every : step across and down between the cells that are matched."""
     block = mapped.features.block
     extent = np.array(template.features.shape[1:])
     more = np.ceil(WINDOW_MARGIN * extent).astype(int) + block
@@ -116,11 +117,11 @@ def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1
 
 
 def needed(wrong: Sequence[int], looks: int) -> int:
-    """How many matches must agree, so that none of `looks` wrong places has as many, but for FALSE_RATE.
+    """How many matches must agree so that none of `looks` wrong places has as many, except with probability FALSE_RATE.
 
-    From the counts of places that are `wrong`, by the extreme value distribution of the largest of many (Gumbel, 1958),
-    fitted to median and quartiles, which a few right ones among them do not move. 0 where there are no wrong ones: on a
-    map that shows nothing, nothing is like the picture."""
+    wrong : counts of matches at wrong places. The extreme value distribution (Gumbel, 1958) is fitted to their median
+    and quartiles, which a few right places among them hardly change. 0 without wrong places: on a map that shows
+    nothing, nothing resembles the picture."""
     if not len(wrong):
         return 0
     low, middle, high = np.percentile(wrong, [25, 50, 75])
@@ -132,8 +133,8 @@ def needed(wrong: Sequence[int], looks: int) -> int:
 def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: int = 1) -> np.ndarray:
     """(N, 4) pairs of places (x, y in `picture`, x, y in `ground`) [cells] that are each other's best.
 
-    picture, ground : (K, h, w) and (K, H, W) unit vectors, compared by blocks of `block` x `block` cells, all of which
-    must have a picture; a place is the middle of a block. every : of the picture's blocks, so many across and down."""
+    picture, ground : (K, h, w) and (K, H, W) unit vectors, compared in blocks of `block` x `block` cells, all of which
+    must have a picture; a place is the middle of a block. every : step across and down between the picture's blocks."""
     mine, here = _blocks(picture, block, every)
     theirs, there = _blocks(ground, block)
     if not len(mine) or not len(theirs):
@@ -146,8 +147,9 @@ def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: i
 
 
 def agreeing(matches: np.ndarray, seed: int = 0) -> SimilarityFit | None:
-    """The similarity on which most `matches` (N, 4) agree, of those with hardly a turn and stretch (MOST_TURNED,
-    MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted; None for fewer than two."""
+    """The similarity on which most `matches` (N, 4) agree, among those with little turn and stretch (MOST_TURNED,
+    MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), then refitted. None if no pair gives
+    one."""
     z, w = _complex(matches[:, :2]), _complex(matches[:, 2:])
     if len(z) < 2:
         return None
@@ -178,7 +180,7 @@ def agreeing(matches: np.ndarray, seed: int = 0) -> SimilarityFit | None:
 
 
 def _fitted(z: np.ndarray, w: np.ndarray) -> PlaneSimilarity:
-    """The similarity of least squares (Umeyama, PAMI 1991, in the plane)."""
+    """The least-squares similarity (Umeyama, PAMI 1991, in the plane)."""
     centre, target = z.mean(), w.mean()
     spread = (np.abs(z - centre) ** 2).sum()
     factor = complex((np.conj(z - centre) * (w - target)).sum() / spread) if spread > 0 else 1.0 + 0j
@@ -186,7 +188,7 @@ def _fitted(z: np.ndarray, w: np.ndarray) -> PlaneSimilarity:
 
 
 def _scale_sd(found: PlaneSimilarity, z: np.ndarray, w: np.ndarray) -> float:
-    """Relative one-sigma of the scale: residuals across the spread of the places."""
+    """Relative one sigma of the scale, from the residuals and the spread of the places."""
     if len(z) < 3:
         return float("inf")
     residual = np.abs(found.factor * z + found.shift - w)
@@ -195,7 +197,8 @@ def _scale_sd(found: PlaneSimilarity, z: np.ndarray, w: np.ndarray) -> float:
 
 
 def _blocks(features: np.ndarray, block: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """(N, K * block**2) unit vectors of all whole blocks with a picture, and (N, 2) their centres x, y [cells]."""
+    """(N, K * block**2) unit vectors of the blocks that wholly have a picture, and (N, 2) their centres x, y
+    [cells]."""
     channels, height, width = features.shape
     if min(height, width) < block:
         return np.empty((0, channels * block**2), np.float32), np.empty((0, 2))

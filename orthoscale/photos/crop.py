@@ -1,8 +1,8 @@
 """Satellite crops as large as a photo's footprint, for cross-view retrieval (arXiv 2603.07535, scale-adaptive crops).
 
 A photo of ``footprint`` metres covers ``footprint / GSD_sat`` pixels of a satellite picture. Windows of that size are
-cut over a search area, each shifted by half of its size, and resampled to the photo's size, so that a network that
-knows nothing of scale compares like with like.
+cut over a search area, each shifted by half of its size, and resampled to the photo's size. So a network that does not
+handle scale compares pictures of one scale.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from ..sources.satellite import Satellite
 
 MOST_WINDOWS = 100_000
 QUALITY = 95  # of the JPEGs
-CROP_STRIDE = 0.5  # of a window's size by which the next one is shifted, unless told otherwise; the paper's
+CROP_STRIDE = 0.5  # of a window's size by which the next one is shifted, by default; as in the paper
 CROP_COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
 
 
 @dataclass(frozen=True)
 class Crops:
     """Windows (n, 4) x, y, width, height of the satellite picture [px], each `size` (2,) metres on the ground, to be
-    resampled to `out` (width, height) px; `query` is the part of the photo that matches (x, y, width, height)."""
+    resampled to `out` (width, height) px; `pixel` (2,) is the satellite picture's pixel size [m]; `query` is the part
+    of the photo to compare (x, y, width, height) [px]."""
 
     satellite: Satellite
     windows: np.ndarray
@@ -54,9 +55,10 @@ def plan_crops(
     """Windows as large as the footprint of a photo with `photo_size` px at `gsd` metres per pixel.
 
     at : longitude and latitude of the search area's middle; the whole picture by default. radius : half of its side
-    [m]; one window at `at` by default. square : of the photo's shorter side, for networks that want squares.
-    stride : by which share of its size each window is shifted, by default CROP_STRIDE. out_px : longer side of the
-    crops, the photo's own by default.
+    [m]; one window at `at` by default. square : cut squares of the photo's shorter side, for networks that need
+    squares.
+    stride : share of its size by which each window is shifted, by default CROP_STRIDE. out_px : longer side of the
+    crops [px], the photo's own by default.
     Raises UsageError for a place or a footprint that the satellite picture does not hold, a stride of less than a
     pixel, more than MOST_WINDOWS windows.
     """
@@ -99,10 +101,10 @@ def plan_crops(
     first, last = np.clip([low - window / 2, high - window / 2], 0, whole - window)
     shifts = np.maximum((stride or CROP_STRIDE) * window, 1)
     steps = np.ceil((last - first) / shifts - 1e-9).astype(int)
-    count = math.prod((steps + 1).tolist())  # before any is made
+    count = math.prod((steps + 1).tolist())  # counted before any is made
     if count > MOST_WINDOWS:
         raise UsageError(f"{count} windows are too many", "Limit the search area: --at LON,LAT --radius METRES.")
-    # Their centres go evenly over the search area, the windows themselves stay inside of the picture.
+    # Their centres cover the search area evenly; the windows themselves stay within the picture.
     starts = [np.unique(np.rint(np.linspace(first[k], last[k], steps[k] + 1)).astype(int)) for k in (0, 1)]
     x, y = (a.ravel() for a in np.meshgrid(*starts))
     windows = np.column_stack([x, y, np.full(len(x), window[0]), np.full(len(x), window[1])])
@@ -122,7 +124,7 @@ def write_crops(
     """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, and crop.json with
     what was done.
 
-    told : what crop.json says of the photo. Raises OutputError, InputError.
+    told : entries of crop.json on the photo. Raises OutputError, InputError.
     """
     source = crops.satellite.source
     centres = crops.satellite.lon_lat(crops.windows[:, :2] + crops.windows[:, 2:] / 2)
@@ -147,7 +149,7 @@ def write_crops(
 
 
 def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:
-    """What was cut, as plain values."""
+    """What was cut, as plain values, together with `told`."""
     return told | {
         "satellite": str(crops.satellite.source.path),
         "satellite_pixel_m": crops.pixel.tolist(),

@@ -1,4 +1,4 @@
-"""The photos at paths of files and folders, and what lies in the folders that cannot be read."""
+"""Finds the photos at paths of files and folders, and the files there that cannot be read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..formats.reading import absent, files_below
 from ..sources.tags import READABLE_PHOTOS
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-# Photos in other formats: of phones and of the web, and raw ones of the makers of cameras for drones.
+# Photos in other formats: those of phones and the web, and raw ones of drone cameras.
 OTHER_PHOTOS = (
     *(".heic", ".heif", ".avif", ".webp", ".jxl"),
     *(".dng", ".arw", ".cr2", ".cr3", ".gpr", ".iiq", ".nef", ".orf", ".pef", ".raf", ".rw2"),
@@ -22,7 +22,7 @@ OTHER_PHOTOS = (
 
 @dataclass(frozen=True)
 class FoundPhotos:
-    """paths : of the photos, by their names. notes : what lies in folders beside them and is not looked at."""
+    """paths : of the photos, by their names. notes : on files in the folders that are not read."""
 
     paths: dict[str, Path]
     notes: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ def find_photos(paths: Sequence[Path]) -> FoundPhotos:
 
 
 def _only_there(files: Iterable[Path], photos: Iterable[Path]) -> list[Path]:
-    """Those of `files` that are none of the `photos`, nor one of them in another format: cameras write raw photos
-    beside JPEGs of the same name."""
+    """The videos among `files`, and those that are not one of `photos` in any format: cameras write raw photos beside
+    JPEGs of the same name."""
     known = {each.with_suffix("") for each in photos}
     return [each for each in files if each.suffix.lower() in VIDEOS or each.with_suffix("") not in known]

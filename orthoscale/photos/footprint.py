@@ -1,4 +1,4 @@
-"""The ground that a photo covers: by the scale from its vehicles, or by a given GSD."""
+"""The ground that a photo covers, by the scale from its vehicles or by a given GSD."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .measure import measure, open_photo
 
 @dataclass(frozen=True)
 class Footprint:
-    """gsd : average ground sampling distance of the photo [m/px]. size : of its picture [px]. told : for reports."""
+    """gsd : average ground sampling distance of the photo [m/px]. size : of its picture [px]. told : facts for
+    reports."""
 
     picture: PictureFile
     gsd: float

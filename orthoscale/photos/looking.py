@@ -1,4 +1,4 @@
-"""The boxes of photos, from a detector or a file in any format, and the fleet that they are compared with."""
+"""The boxes of photos, from a detector or a file in any format, and the fleet with which they are compared."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
-WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why what says how to measure does nothing
+WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why options of measuring do nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Looking(PhotoRequest):
     """How to look for vehicles in photos, and what to compare them with."""
 
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
-        """The fleet that `photos` are measured by, and what to say of it; see `sources.country`."""
+        """The fleet by which `photos` are measured, and notes on it; see `sources.country`."""
         known = None if self.calibration is None else load_calibration(Path(self.calibration))
         fleet = named_fleet(self.fleet, known)
         return fleet_at(location_in(photos)) if fleet is None else (fleet, ())
@@ -36,7 +36,7 @@ class Looking(PhotoRequest):
 
 @dataclass(frozen=True)
 class Album:
-    """Photos, as `exchange` wants them for the names and sizes of their pictures."""
+    """Photos, with the names and sizes of their pictures as `formats.detections` needs them."""
 
     photos: Sequence[Photo]
     notes: list[Remark] = field(default_factory=list)
@@ -44,17 +44,17 @@ class Album:
 
     @property
     def path(self) -> Path:
-        """The photo, or the folder of the first one: what a message is about."""
+        """The photo, or the folder of the first one, for messages."""
         return self.photos[0].path if len(self.photos) == 1 else self.photos[0].path.parent
 
     @property
     def pictures(self) -> list[PictureFile]:
-        """The photos' pixels, in their order; each is read by windows."""
+        """The photos' pixels, in order; each is read by windows."""
         return [photo.picture for photo in self.photos]
 
     @property
     def picture_names(self) -> list[str]:
-        """Their names, by which detections are kept."""
+        """The photos' names, which are the keys of detections."""
         return [photo.name for photo in self.photos]
 
     def image_size(self, name: str) -> tuple[int, int]:
@@ -69,8 +69,8 @@ class Album:
 def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:
     """The boxes of `photos`, from a file or by the detector.
 
-    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each. What is
-    to be said of the boxes is in their `notes`.
+    All photos share one zoom, as those of one flight do: measure flights at different heights in one run each. Notes on
+    the boxes are in their `notes`.
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
     if how.detections is not None:

@@ -2,8 +2,8 @@
 
 The unit is chosen so that the pooled scale is the paper's ``s`` (arXiv 2603.07535): metres per pixel of the nadir view
 from the same altitude. Then altitude = s f, ground sampling distance r = s / |sin pitch|, footprint = r W_img. Vehicles
-are measured by the exact projection, not by the paper's. The uncertainties of pitch, roll, focal length and the
-detector's effective height are propagated by measuring again with each of them changed a little.
+are measured by the exact projection, not by the paper's. To propagate the uncertainties of pitch, roll, focal length
+and the detector's effective height, measuring is repeated with each of them changed a little.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from ..sources.picture_file import PictureFile
 from ..sources.tags import Tags, read_tags
 from ..sources.undistort import undistort
 
-# One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
-# as much), what a person tells, and a nadir that nobody told. Assumptions.
+# One sigma of pitch and roll [rad]: as a gimbal reports them (it trembles by some tenths of a degree, and its zero is
+# off by as much), as given by a user, and of a nadir that is only assumed. Assumptions.
 GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
-TURNED_PITCH = -85.0  # [deg] steeper than this, a photo that was turned looks down as it did
-RIGHT = np.array([1.0, 0.0, 0.0])  # the camera's own
-OUTLINE_ELEVATION = 10.0  # [deg] where a photo's corner sees the ground flatter, it ends nowhere in particular
+TURNED_PITCH = -85.0  # [deg] a photo steeper than this keeps its pitch when its pixels are turned
+RIGHT = np.array([1.0, 0.0, 0.0])  # of the camera
+OUTLINE_ELEVATION = 10.0  # [deg] a corner that sees the ground at less lies too far away to mean anything
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Photo:
     """One photo: its pixels, its lens, and which way it looks.
 
     up : (3,) the vertical in camera coordinates, as in `core.projection.level`. up_sd : one sigma of its tilt [rad].
-    attitude : where that comes from, for people.
+    attitude : the angles and where they come from, in words.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Photo:
 
     @property
     def pitch(self) -> float:
-        """Of the optical axis, -pi/2 straight down [rad]."""
+        """Pitch of the optical axis [rad], -pi/2 straight down."""
         return float(np.arcsin(np.clip(self.up[2], -1, 1)))
 
     def gsd_from(self, altitude: float) -> float:
@@ -83,15 +83,15 @@ class Photo:
         return gsd * abs(float(self.up[2])) * self.lens.focal_px
 
     def views(self, pixels: np.ndarray, altitude: float, lowest: float = LOWEST_ELEVATION) -> tuple[Views, np.ndarray]:
-        """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool whether it is, at `lowest` [deg] or
-        steeper."""
+        """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool, whether it is seen there at
+        `lowest` [deg] or steeper."""
         plane, lens, ok = undistort(self.lens.camera, pixels)
         views, seen = level_views(plane, lens, self.up, altitude, np.radians(lowest))
         return views, ok & seen
 
     def outline(self, altitude: float) -> np.ndarray | None:
         """(4, 2) its corners on level ground `altitude` below [unit of that], right and forward of the point below the
-        camera, from the upper left clockwise; None when one lies above the horizon or sees the ground flatter than
+        camera, clockwise from the upper left; None if one lies above the horizon or sees the ground at less than
         OUTLINE_ELEVATION."""
         width, height = self.tags.width, self.tags.height
         corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
@@ -120,10 +120,11 @@ def open_photo(
     pitch: float | None = None,
     roll: float | None = None,
 ) -> Photo:
-    """The photo at `path`. What is told (angles in degrees) goes before what its tags say, each angle by itself; nadir
-    where nothing is.
+    """The photo at `path`. Given values (angles in degrees) take precedence over its tags, each angle by itself;
+    without any, it is taken for nadir.
 
-    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
+    Raises InputError for a file that is no photo or has no focal length, UsageError for an impossible pitch or a roll
+    alone.
     """
     if roll is not None and not np.isfinite(roll):
         raise UsageError(f"--roll must be a number of degrees, not {roll}")
@@ -157,9 +158,10 @@ def open_photo(
 
 
 def _roll_beside_told_pitch(tags: Tags) -> float:
-    """What the tags say of the roll, 0 without it [deg]. A photo that was turned since it was taken has another; and
-    one beyond 90 degrees, which DJI writes for some photos taken straight down, is only the way its top points there
-    (`Tags.heading`): beside another pitch it would be a camera upside down."""
+    """The roll in the tags [deg], for use with a given pitch; 0 if there is none or it does not hold. It does not for a
+    photo that was turned since it was taken. Nor does a roll beyond 90 degrees, which DJI writes for some photos taken
+    straight down: it only says where the top points (`Tags.heading`), and with another pitch the camera would be upside
+    down."""
     if tags.roll is None or tags.turned or np.cos(np.radians(tags.roll)) <= 0:
         return 0.0
     return tags.roll
@@ -188,14 +190,14 @@ class Measure:
 
 @dataclass(frozen=True)
 class PhotoScale:
-    """What the vehicles of a photo say, or those of several photos from one altitude (`overlap` > 1).
+    """The scale by the vehicles of a photo, or of several photos from one altitude, with what follows from it.
 
     scale : metres per pixel of the nadir view from the same altitude, with `used` and `reasons` by box.
     altitude : over the ground where the vehicles stand [m]. gsd : average, r = s / |sin pitch| [m/px].
     footprint : r times the picture's width and height [m].
     boxes : (N,) those that were measured; picture : (N,) the name of each one's photo.
-    overlap : how many of the photos show a place, on average; the vehicles are fewer by that factor than the boxes.
-    shared : by what the sizes would change if attitude and lens were one sigma off, by cause [log].
+    overlap : how many of the photos show a place, on average; there are that many times fewer vehicles than boxes.
+    shared : change of the sizes [log] if pitch, roll or focal length were one sigma off, by cause.
     """
 
     photo: Photo
@@ -209,8 +211,8 @@ class PhotoScale:
     shared: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     def overlapping(self, overlap: float) -> PhotoScale:
-        """The same vehicles with what is known of them if `overlap` of the photos show each place: the sampling part of
-        the interval grows by its square root."""
+        """The same if `overlap` of the photos show each place, so that vehicles are counted repeatedly: the sampling
+        part of the interval grows by the square root of `overlap`."""
         scale = _thinned(self.scale, overlap) if overlap > 1 else self.scale
         return _assembled(self.photo, scale, self.shared, self.boxes, self.picture, overlap)
 
@@ -223,7 +225,8 @@ class PhotoScale:
 class PhotoGeometry:
     """A `Geometry` of boxes in photos over level ground, in pixels of the nadir view from the same altitude.
 
-    views : how each box is seen; `off` by cause, how it would be if pitch, roll or focal length were one sigma more.
+    views : how each box is seen. off : how it would be seen if pitch, roll or focal length were one sigma more, by
+    cause.
     """
 
     found: Detections
@@ -240,7 +243,8 @@ class PhotoGeometry:
 
     @classmethod
     def of(cls, photos: Sequence[Photo], found: Detections) -> PhotoGeometry:
-        """That of the boxes `found` in `photos`, those that see the ground steeply enough."""
+        """The geometry of the boxes `found` in `photos` where these see the ground steeply enough. Raises
+        TooLittleEvidence if there are none."""
         seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
         usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
         if not any(len(b) for _, b in usable):
@@ -274,7 +278,7 @@ class PhotoGeometry:
 
     @property
     def lost(self) -> dict[str, int]:
-        """None: boxes that cannot be measured were left out before."""
+        """Empty: boxes that cannot be measured were left out before."""
         return {}
 
     @property
@@ -283,7 +287,8 @@ class PhotoGeometry:
         return float(np.median(self.boxes.length * self.views.unit_per_pixel))
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """What is not known of attitude, lens and effective height is measured again with each a little off."""
+        """See `Geometry.observe`. For the uncertainty of attitude, lens and effective height, the boxes are measured
+        again with each a little off."""
         ruler, seen = card_of(self.found), SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
         size, by_body = ruler.told(seen)
         if not np.isfinite(size).all(1).any():
@@ -298,7 +303,7 @@ class PhotoGeometry:
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
-        """Photos are not searched for them."""
+        """None: photos are not searched for other evidence."""
         return ()
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
@@ -306,13 +311,13 @@ class PhotoGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """By how much attitude and lens, one sigma off, would change the sizes."""
+        """How much the sizes would change if attitude or lens were one sigma off."""
         return Findings(shared=seen.systematic.shared)
 
 
 def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
-    """One scale from the vehicles of `photos`, which were taken with one lens from one altitude (or are a single one)
-    and show different ground. Raises TooLittleEvidence."""
+    """One scale from the vehicles of `photos`: either a single photo, or several of different ground, taken with one
+    lens from one altitude. Raises TooLittleEvidence."""
     try:
         got = measure_boxes(PhotoGeometry.of(photos, found), fleet)
     except TooLittleEvidence as error:
@@ -322,7 +327,7 @@ def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoSc
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
-    """How all boxes are seen, in pixels of the nadir view, if each photo were `changed`."""
+    """How all boxes would be seen, in pixels of the nadir view, if each photo were `changed`."""
     parts = [(changed(photo), boxes) for photo, boxes in usable]
     return Views.concatenate([photo.views(boxes.centre, photo.lens.focal_px)[0] for photo, boxes in parts])
 
@@ -334,15 +339,15 @@ def _sideways(up: np.ndarray) -> np.ndarray:
 
 
 def _thinned(scale: Scale, overlap: float) -> Scale:
-    """The same with its sampling part for `overlap` times fewer vehicles."""
+    """`scale` with the sampling part that `overlap` times fewer vehicles would give."""
     return scale.with_parts({**scale.parts, "sampling": scale.parts["sampling"] * float(np.sqrt(overlap))})
 
 
 def _assembled(
     photo: Photo, scale: Scale, shifts: Mapping[str, np.ndarray], boxes: Boxes, picture: np.ndarray, overlap: float
 ) -> PhotoScale:
-    """Altitude, GSD and footprint from the scale. Focal length and pitch enter both the scale and what follows from
-    it, so their parts are added as they are before they are squared."""
+    """Altitude, GSD and footprint from the scale. Focal length enters both scale and altitude, pitch both scale and
+    GSD; so these two parts of the error are added with their signs before squaring."""
     own = {name: -float(np.dot(scale.weights, s)) for name, s in shifts.items()}  # of the log scale
 
     def following(value: float, name: str, extra: float) -> Measure:

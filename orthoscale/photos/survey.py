@@ -1,4 +1,4 @@
-"""A set of photos: detected together, measured one by one, and on request pooled."""
+"""A set of photos: vehicles are detected in all together, each photo is measured, and on request all are pooled."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..requests import PhotoOptions
 
-LINES_SHOWN = 6  # photos that printing a survey lists
+LINES_SHOWN = 6  # photos that a printed survey lists
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
 
 
 @dataclass(frozen=True, repr=False)
 class Survey(Brief):
-    """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
-    found : the boxes. photos : those that could be read. fleet : by which they were measured. why : by that one, and
-    what was not looked at."""
+    """outcomes : of each photo by itself. together : one scale of all of them, if requested. found : the boxes. photos
+    : those that could be read. fleet : by which they were measured. why : notes on the choice of the fleet, and on
+    files that were not read."""
 
     outcomes: list[PhotoOutcome]
     together: PhotoScale | None
@@ -47,7 +47,7 @@ class Survey(Brief):
     why: tuple[str, ...] = ()
 
     def brief(self) -> list[tuple[str, str]]:
-        """One photo, or all together, in full; of several the first few."""
+        """A few lines: how many were measured, the pooled altitude if requested, and the first photos."""
         measured = [(outcome.name, got) for outcome in self.outcomes if (got := outcome.measured) is not None]
         head = [("photos", f"{len(measured)} of {len(self.outcomes)} measured, fleet {self.fleet.code}")]
         if self.together is not None:
@@ -78,9 +78,9 @@ def photo(
 ) -> Survey:
     """Measure single photos from a drone: scale, altitude over the ground, ground sampling distance, footprint.
 
-    paths : photos, and folders of them. focal_px [px], lens_file, pitch and roll [deg] : instead of what the photos'
-    tags say. together : also one scale for all, taken by one lens from one altitude. options : fleet and detector as
-    of `estimate`; depth, depth_kind, depth_factor : a metric depth, whose altitude is compared.
+    paths : photos, and folders of them. focal_px [px], lens_file, pitch and roll [deg] : replace the values of the
+    photos' tags. together : also give one scale for all, which one lens must have taken from one altitude. options :
+    fleet and detector as in `estimate`; depth, depth_kind, depth_factor : a metric depth, whose altitude is compared.
     Raises InputError, UsageError; TooLittleEvidence where no photo has enough vehicles.
     """
     given = paths_of(paths, "the path of a photo, or of a folder of them")
@@ -99,9 +99,9 @@ def surveyed(
     keep: Callable[[Detections, Sequence[Photo]], None] | None = None,
     **lens: Any,
 ) -> Survey:
-    """What `how` asks of the photos at `paths`; `lens` as for `open_photo`. See `photo`.
+    """Measure the photos at `paths` as `how` requests; `lens` as for `open_photo`. See `photo`.
 
-    keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
+    keep : called with the boxes as soon as they are found, whether or not they are enough for a scale.
     """
     given = find_photos(paths)
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
@@ -128,9 +128,10 @@ def surveyed(
 
 
 def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:
-    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. A single one must.
+    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. Raises InputError if none
+    can.
 
-    decode : look at their pixels as well, lest one damaged photo among many ends the search for vehicles.
+    decode : read some pixels of each as well, lest one damaged photo among many ends the search for vehicles.
     """
     photos, problems = [], {}
     for name, path in paths.items():
@@ -152,7 +153,7 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
 def measure_each(
     photos: Sequence[Photo], problems: dict[str, str], found: Detections, fleet: Fleet
 ) -> list[PhotoOutcome]:
-    """Every photo by itself, and those that could not be read, in the order of their names."""
+    """The outcome of each photo by itself, including those that could not be read, in the order of their names."""
     outcomes = [PhotoOutcome(name, None, None, problem) for name, problem in problems.items()]
     for photo in photos:
         boxes = len(found.boxes.get(photo.name, ()))
@@ -164,9 +165,9 @@ def measure_each(
 
 
 def compared(outcomes: Sequence[PhotoOutcome], depths: Depths, found: Detections) -> list[PhotoOutcome]:
-    """The same with the altitude that the depth of each photo says, or why it says none.
+    """`outcomes` with the altitude by the depth of each photo, or the reason why there is none.
 
-    Raises InputError where that is so of all of them.
+    Raises InputError if no photo has one.
     """
     made: list[PhotoOutcome] = []
     refused: list[InputError] = []
@@ -188,10 +189,9 @@ def compared(outcomes: Sequence[PhotoOutcome], depths: Depths, found: Detections
 def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
     """One scale for photos that one lens took from one height over the ground. Raises UsageError for several lenses.
 
-    A vehicle that k photos show has k votes, and which are the same is not known from boxes alone. So the sampling part
-    of the interval is that of k times fewer vehicles, where k is how many of the photos show a place: from where they
-    were taken, or, where EXIF does not tell that, all of them. Raises TooLittleEvidence where that is known and leaves
-    too few.
+    A vehicle that k photos show has k votes, and boxes alone do not show which are of the same vehicle. So the sampling
+    part of the interval is that of k times fewer vehicles, where k is how many photos show a place: by where they were
+    taken, or all of them if EXIF does not say. Raises TooLittleEvidence if k is known and leaves too few vehicles.
     """
     focal = np.array([p.lens.focal_px for p in photos])
     if np.ptp(focal) > SAME_FOCAL * focal.mean():
@@ -213,9 +213,9 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
 
 
 def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float | None:
-    """How many of `photos` show a place that any of them shows, on average; None where it is not known.
+    """How many of `photos` show a place that any of them shows, on average; None if it is not known.
 
-    Each photo counts as a disc of its footprint's area about the camera's place: headings matter little to that.
+    Each photo is taken for a disc of its footprint's area about the camera: headings matter little for this.
     """
     import pyproj
     import shapely

@@ -20,8 +20,8 @@ from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
-ALL_TOGETHER = "all together"  # stands for a photo's name in the row of all
-OF_ONE_PHOTO = ("xmp_", "depth_")  # how columns begin that speak of one photo
+ALL_TOGETHER = "all together"  # in place of a photo's name, in the row for all
+OF_ONE_PHOTO = ("xmp_", "depth_")  # prefixes of columns that concern a single photo
 MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
 
 
@@ -29,8 +29,8 @@ MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footp
 class PhotoOutcome:
     """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read.
 
-    boxes : how many were found in it. depth : what its depth map says, where one was given, and `depth_problem` why
-    that says nothing.
+    boxes : how many were found in it. depth : the altitude by its depth map, if one was given. depth_problem : why
+    there is none.
     """
 
     name: str
@@ -42,12 +42,13 @@ class PhotoOutcome:
     depth_problem: str = ""
 
     def ratio(self, altitude: float | None) -> float | None:
-        """Of another altitude [m] to the one by vehicles; None too for one that is not above the ground."""
+        """Ratio of another `altitude` [m] to the one by vehicles; None if either is missing, or the other is not
+        positive."""
         return altitude / self.measured.altitude.value if altitude and altitude > 0 and self.measured else None
 
 
 def row(outcome: PhotoOutcome) -> dict[str, Any]:
-    """Plain values; lengths in metres, angles in degrees, each measure with the bounds of its 90 % interval."""
+    """The photo's row of plain values; lengths in metres, angles in degrees, each measure with its 90 % interval."""
     photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     measures: dict[str, Any] = {}
     values = [None] * len(MEASURES) if got is None else [_scale(got), got.altitude, got.gsd, *got.footprint]
@@ -60,7 +61,7 @@ def row(outcome: PhotoOutcome) -> dict[str, Any]:
         "measured": got is not None,
         "problem": outcome.problem,
         "verdict": got.scale.verdict if got else "",
-        "vehicles_used": got.scale.vehicles_used if got else None,  # 0 would say that its vehicles were no good
+        "vehicles_used": got.scale.vehicles_used if got else None,  # 0 would mean that no vehicle was usable
         "boxes": outcome.boxes,
         **measures,
         "focal_px": round(photo.lens.focal_px, 2) if photo else None,
@@ -89,9 +90,9 @@ def document(
     together: PhotoScale | None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """All rows, with the share of photos that had enough vehicles; and the scale of all together where it was asked.
+    """All rows, the share of photos that had enough vehicles, and the scale of all `together` if requested.
 
-    fleet : by which they were measured. notes : what else the user should know.
+    fleet : by which they were measured. notes : for the user.
     """
     used = sum(outcome.measured is not None for outcome in outcomes)
     text: dict[str, Any] = {
@@ -117,20 +118,21 @@ def document(
 
 
 def check_ending(path: Path, formats: Sequence[str] = TABLE_SUFFIXES) -> None:
-    """Raises UsageError for a name that says no format."""
+    """Raises UsageError for a name whose ending is none of `formats`."""
     if path.suffix.lower() not in formats:
         raise UsageError(f"{path.name} is none of {', '.join(formats)}", "The file's ending sets its format.")
 
 
 def known(path: Path) -> Callable[[Path], bool] | None:
-    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
+    """A test whether an existing table was written by orthoscale, if the format of `path` has no room for a signature;
+    else None. See `Outputs.file`."""
     columns = list(row(PhotoOutcome("", None, None)))
     return (lambda place: has_header(place, columns)) if path.suffix.lower() == ".csv" else None
 
 
 def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path) -> None:
-    """Write the `document` of `outcomes` to `path`, in the format of its ending; the scale of all together is the last
-    row of a table."""
+    """Write `text`, the `document` of `outcomes`, to `path`, in the format of its ending; in a table the scale of all
+    together is the last row."""
     if path.suffix.lower() == ".json":
         path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
         return
@@ -143,19 +145,19 @@ def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path)
 
 
 def _row_of_all(pooled: Mapping[str, Any]) -> dict[str, Any]:
-    """What `document` says of all together as a row; what is one photo's is empty."""
+    """The entry of `document` for all together as a row; columns of a single photo are empty."""
     return {name: pooled.get(name) for name in row(PhotoOutcome("", None, None))} | {"photo": ALL_TOGETHER}
 
 
 def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Layer ``photos``: all rows, those of the photos at the camera's place where EXIF tells it. Layer ``footprints``:
-    the ground that each measured photo shows, where place and heading are told; longitude and latitude."""
+    """Layer ``photos``: all rows, each photo at the camera's place if EXIF has it. Layer ``footprints``: the ground
+    that each measured photo shows, if place and heading are known. Both are in longitude and latitude."""
     import shapely
 
     places = [
         shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes
     ]
-    places += [None] * (len(rows) - len(places))  # all together are nowhere
+    places += [None] * (len(rows) - len(places))  # the row of all has no place
     write_layer(path, "photos", places, rows, "Point", WGS_84)
     outlines = [
         (r, shape) for o, r in zip(outcomes, rows, strict=False) if (shape := footprint_on_earth(o)) is not None
@@ -165,7 +167,7 @@ def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[s
 
 
 def footprint_on_earth(outcome: PhotoOutcome) -> Any:
-    """The ground that the photo shows, as a polygon of longitudes and latitudes; None where that is not known."""
+    """The ground that the photo shows, as a polygon of longitudes and latitudes; None if it is not known."""
     import pyproj
     import shapely
 

@@ -16,7 +16,7 @@ LISTED = 40  # photos that are listed
 def summary(
     outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], together: PhotoScale | None, outputs: Sequence[Path]
 ) -> str:
-    """A few calm lines; one photo in full, many as a table."""
+    """The summary in a few lines: one photo in full, many as a table."""
     if together is not None:
         lines = _in_full(together)
         lines.append(f"vehicles   {together.scale.vehicles_used} of {text['together']['boxes']} boxes used, in "
@@ -63,7 +63,7 @@ def _in_full(got: PhotoScale) -> list[str]:
 
 
 def _compared(outcome: PhotoOutcome) -> list[str]:
-    """The altitudes of a photo side by side, with their ratios to the one by vehicles."""
+    """The altitudes of a photo by all means, with their ratios to the one by vehicles."""
     photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     assert photo is not None and got is not None
     told = photo.tags.relative_altitude
@@ -87,7 +87,7 @@ def _ratio(ratio: float | None) -> str:
 
 
 def _depth(outcome: PhotoOutcome) -> str:
-    """The end of a photo's line: what its depth says."""
+    """The end of a photo's line: the altitude by its depth."""
     if outcome.depth is None:
         return f"  depth: {outcome.depth_problem}" if outcome.depth_problem else ""
     ratio = outcome.ratio(outcome.depth.altitude)
@@ -108,7 +108,7 @@ def _interval(m: Measure, unit: str) -> str:
 
 
 def _told(what: str, texts: Sequence[str]) -> list[str]:
-    """Each different text once, with how many photos it is true of."""
+    """Each different text once, with the number of photos that have it."""
     counts: dict[str, int] = {}
     for text in texts:
         counts[text] = counts.get(text, 0) + 1

@@ -1,1 +1,1 @@
-"""The altitude of a photo by a metric depth network, for comparison with the one by vehicles."""
+"""The altitude of a photo by metric depth, to compare with the one by vehicles."""

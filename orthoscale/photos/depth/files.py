@@ -1,4 +1,4 @@
-"""Depth maps from files: NumPy arrays, TIFF of one band, PNG of 16 bit."""
+"""Reads depth maps from files: NumPy arrays, TIFF of one band, PNG of 16 bits."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ MAP_HINT = "Give one depth for each pixel: an array (.npy), a TIFF of one band, 
 
 
 def read_depth(path: Path, factor_told: bool) -> np.ndarray:
-    """(H, W) float32 of the file's own unit; NaN where it has no depth, which files write as 0, NaN or their no-data.
+    """(H, W) float32 in the file's own unit; NaN where there is no depth, which files write as 0, NaN or no-data.
 
-    factor_told : whether a user said what a unit is; whole numbers are not metres. Raises InputError.
+    factor_told : whether the user gave the unit; without it, whole numbers are refused. Raises InputError.
     """
     check_regular(path, MAP_HINT)
     values = _array(path) if path.suffix.lower() == ".npy" else _band(path)

@@ -1,7 +1,7 @@
 """The altitude from a depth map, over the ground around the vehicles; and tests for maps that are not metric depth.
 
-The depth of a pixel, divided by the depth that level ground 1 m below the camera would have there, is the height of the
-camera above the pixel's point.
+The depth of a pixel, divided by the depth that level ground 1 m below the camera would have there, is the height [m] of
+the camera above the pixel's point.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from ...core.pooling.posterior import ROBUST_SD
 from ...errors import InputError
 from ..measure import Measure, Photo
 
-# Where ground is looked for: outside a box grown by this, which still may show roofs and wheels, as far as so many
-# of the vehicle's widths from it; between vehicles in a row there is half a width.
+# Where ground is looked for: at RINGS widths of the vehicle from its box, but outside of every box grown by CLEARED,
+# which may still show roofs and wheels; between parked vehicles there is half a width.
 CLEARED, RINGS = 1.15, (0.3, 0.5, 0.7, 0.9)
 ALONG_SIDE = 6  # points on each side of a ring
 FEWEST_POINTS = 8  # of the ground around a vehicle
-# Depth of level ground grows across a picture that is not straight down. A metric depth grows as much, but for hills
-# and houses; an inverse one falls, a relative one grows by any amount.
+# In a picture that is not nadir, the depth of level ground grows across the picture. A metric depth grows as much,
+# apart from hills and houses; an inverse one falls, a relative one grows by any amount.
 GRID = 32  # pixels along each side of a picture that are compared with level ground
-TELLING = 0.2  # log depth of level ground between the nearer and the farther third of a picture that makes it a test
-SLOPE = (0.5, 2.0)  # how the logs of both depths may grow with one another
-# Straight down, vehicles are nearer than the ground around them. So many sigma of coin tosses say that they are not.
+TELLING = 0.2  # least log depth of level ground between the nearer and the farther third of a picture, for this test
+SLOPE = (0.5, 2.0)  # limits of the growth of log depth against that of level ground
+# At nadir, vehicles are nearer than the ground around them. A map is refused if that fails by SIGMAS of coin tosses.
 SIGMAS, FEWEST_TOSSED = 3.0, 10
-NEAREST_M = 2.0  # [m] no photo with vehicles in it is taken from lower
-FARTHEST_OFF = 10.0  # times the altitude by vehicles: no network is that wrong, so the unit is
+NEAREST_M = 2.0  # [m] no photo of vehicles is taken from lower
+FARTHEST_OFF = 10.0  # factor to the altitude by vehicles: no network is that wrong, so the unit is
 
 Kind = Literal["z", "range"]
 NO_METRES = "Give a metric depth, in metres or with --depth-factor; relative and inverse depths have no scale."
@@ -40,8 +40,8 @@ NO_METRES = "Give a metric depth, in metres or with --depth-factor; relative and
 class DepthMap:
     """A metric depth of every pixel of a photo.
 
-    metres : (H, W) over all of the photo, at any resolution; NaN where there is none. kind : "z" along the optical
-    axis, "range" along the ray. origin : where it is from, for messages.
+    metres : (H, W) over all of the photo, at any resolution; NaN where there is no depth. kind : "z" along the optical
+    axis, "range" along the ray. origin : its source, for messages.
     """
 
     metres: np.ndarray
@@ -49,7 +49,7 @@ class DepthMap:
     origin: str
 
     def at(self, photo: Photo, pixels: np.ndarray) -> np.ndarray:
-        """(N,) the depth at pixels (N, 2) of `photo`, of the nearest one of the map [m]."""
+        """(N,) the depth at pixels (N, 2) of `photo` [m], that of the map's nearest pixel."""
         height, width = self.metres.shape
         place = (pixels * [width / photo.tags.width, height / photo.tags.height]).astype(int)
         inside = ((place >= 0) & (place < [width, height])).all(1)
@@ -59,10 +59,11 @@ class DepthMap:
 
 @dataclass(frozen=True)
 class DepthAltitude:
-    """What a depth map says of the altitude.
+    """The altitude by a depth map.
 
-    altitude : over the ground around the vehicles, the median of theirs [m]. scatter : one sigma of a vehicle's,
-    relative; what the network may have wrong everywhere is not in it. vehicles : around which ground was seen.
+    altitude : over the ground around the vehicles, median over them [m]. scatter : relative one sigma over the
+    vehicles; errors that the network makes everywhere are not in it. vehicles : number of those around which ground was
+    seen.
     """
 
     altitude: float
@@ -71,9 +72,10 @@ class DepthAltitude:
 
 
 def depth_altitude(photo: Photo, depth: DepthMap, boxes: Boxes, by_vehicles: Measure | None = None) -> DepthAltitude:
-    """The altitude of `photo` by `depth`: the median over the ground around each of `boxes`, and over these.
+    """The altitude of `photo` by `depth`: the median over the ground around each of `boxes`, then the median over the
+    boxes.
 
-    by_vehicles : the altitude that they say themselves, if they do, to recognise what is not in metres.
+    by_vehicles : the altitude by the sizes of the vehicles, if known, to recognise a depth that is not in metres.
     Raises InputError for a map of another field of view, a relative or an inverse depth, and where no ground is seen.
     """
     height, width = depth.metres.shape
@@ -113,7 +115,7 @@ def _level(photo: Photo, kind: Kind, pixels: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _rings(boxes: Boxes) -> np.ndarray:
-    """(N, M, 2) pixels around each box, on rectangles at RINGS widths from it."""
+    """(N, M, 2) pixels around each box, on rectangles at RINGS widths of the vehicle from it."""
     side = np.linspace(-1, 1, ALONG_SIDE, endpoint=False)
     one = np.ones_like(side)
     square = np.concatenate([np.stack(v, 1) for v in ((side, -one), (one, side), (-side, one), (-one, -side))])
@@ -182,7 +184,7 @@ def _refuse_inverse(photo: Photo, depth: DepthMap, boxes: Boxes, around: np.ndar
 
 
 def _refuse_unit(depth: DepthMap, altitude: float, by_vehicles: Measure | None) -> None:
-    """Raise InputError for an altitude that nobody flies at, or that is far from what the vehicles say."""
+    """Raise InputError for an altitude at which nobody flies, or that is far from the one by the vehicles."""
     if altitude < NEAREST_M:
         raise InputError(
             f"{depth.origin}: its ground lies {altitude:.3g} m below the camera: a relative depth, or another unit",

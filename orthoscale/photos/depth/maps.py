@@ -1,4 +1,4 @@
-"""The source of depth maps for photos: a file, a folder of files named as the photos are, or a network."""
+"""The source of depth maps for photos: a file, a folder of files named like the photos, or a network."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .rules import RULES, rule_of
 
 
 class Depths:
-    """The metric depth of photos, as a request asks for it."""
+    """The metric depth of photos, from the source that a request names."""
 
     def __init__(self, path: Path, kind: Kind = "z", factor: str | None = None, several: bool = False):
-        """Of the photos' depth at `path`; see `PhotoRequest` for `kind` and `factor`.
+        """Open the source of depth at `path`; see `PhotoRequest` for `kind` and `factor`.
 
-        several : whether several photos will be asked for. Raises InputError, UsageError.
+        several : whether there are several photos. Raises InputError, UsageError.
         """
         self._path, self._kind, self._told = path, kind, factor is not None
         self._rule = rule_of(factor)
@@ -48,7 +48,7 @@ class Depths:
 
     @classmethod
     def asked(cls, how: PhotoRequest, several: bool) -> Depths | None:
-        """As the request says; None where it asks for none."""
+        """The source that the request `how` names; None if it names none."""
         if how.depth is None:
             return None
         return cls(Path(how.depth), "range" if how.depth_kind == "range" else "z", how.depth_factor, several)
@@ -69,7 +69,8 @@ class Depths:
         return DepthMap(values * self._rule.metres(focal), self._kind, origin)
 
     def _file(self, photo: Photo) -> Path:
-        """The map of `photo` in the folder: under its name with another ending, in the same subfolder or in none."""
+        """The map of `photo` in the folder: its name with another ending, in the same subfolder or in the folder
+        itself."""
         name = Path(photo.name)
         for stem in (name.with_suffix(""), Path(name.stem)):
             for ending in MAP_ENDINGS:

@@ -1,4 +1,4 @@
-"""A metric depth network, as a user's ONNX file: it runs in a process of its own (`detect.foreign`)."""
+"""A metric depth network, from a user's ONNX file; it runs in a process of its own (`detect.foreign`)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ...detect.workers import cores
 from ...errors import InputError, UsageError
 from .rules import Rule
 
-PATCH = 14  # [px] what vision transformers cut pictures into; sides of an input of any size are multiples
-LONGEST_LOOK = 300.0  # [s] for one look: large transformers on two cores
+PATCH = 14  # [px] side of the patches of vision transformers; sides of an input of free size are multiples of it
+LONGEST_LOOK = 300.0  # [s] limit for one picture: large transformers on two cores
 DEPTH_OUTPUTS = ("depth", "predicted_depth", "metric_depth")  # names of the depth among several outputs
 NETWORK_HINT = "Export it with one picture [1, 3, height, width] as input and the depth as output."
 
 
 class DepthNetwork:
-    """Gives the depth of a picture in the network's own unit. Raises InputError where it is none for depth."""
+    """Gives the depth of a picture in the network's own unit. Raises InputError for a network that is not for depth."""
 
     def __init__(self, path: Path, rule: Rule):
         """Load the network at `path`, whose input and unit are those of `rule`."""
@@ -46,11 +46,11 @@ class DepthNetwork:
         self._output = chosen[0]
 
     def __call__(self, picture: Picture) -> tuple[np.ndarray, float]:
-        """The depth (H, W) float32 of all of `picture`, and how many times smaller than the picture it was looked at:
-        its focal length there is that many times shorter."""
+        """The depth (H, W) float32 of all of `picture`, and the factor by which the picture was shrunk for the network:
+        there its focal length in pixels is that many times shorter."""
         rows, columns = self._input_size(picture)
         scale = min(rows / picture.height, columns / picture.width)
-        if self._size == (None, None):  # filled; the sides may be shrunk by a hair differently
+        if self._size == (None, None):  # the picture fills the input; its sides may shrink a little differently
             high, wide = rows, columns
         else:
             high, wide = (max(1, round(side * scale)) for side in (picture.height, picture.width))
@@ -87,8 +87,8 @@ class DepthNetwork:
 
 
 def _cropped(depth: np.ndarray, rows: int, columns: int, filled: tuple[int, int, int, int]) -> np.ndarray:
-    """The part of `depth` that shows the picture, which filled `filled` (top, left, height, width) of the input; the
-    output may be smaller than the input."""
+    """The part of `depth` that shows the picture, which took the part `filled` (top, left, height, width) of the input;
+    the output may be smaller than the input."""
     top, left, high, wide = filled
     down, across = depth.shape[0] / rows, depth.shape[1] / columns
     return depth[

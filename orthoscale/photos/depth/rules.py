@@ -14,12 +14,12 @@ AS_PIXELS = Normalisation((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 @dataclass(frozen=True)
 class Rule:
-    """How outputs become metres, and what the network wants to see.
+    """How a network's outputs become metres, and what its input is.
 
-    factor : metres in a unit, or with `per_focal` metres in a unit and a pixel of focal length, that of the picture
-    which the network saw. normalisation : from pixels to its input.
-    padding : what surrounds, in the input, a picture that does not fill it. side : longest side of a picture for an
-    input of any size [px].
+    factor : metres per unit of depth; with `per_focal`, metres per unit and per pixel of focal length, that of the
+    picture as the network sees it. normalisation : from pixels to the input.
+    padding : value around a picture that does not fill the input. side : longest side of the picture for an input of
+    free size [px].
     """
 
     name: str
@@ -30,7 +30,7 @@ class Rule:
     side: int = 504
 
     def metres(self, focal_px: float) -> float:
-        """In a unit of depth, for a picture of this focal length [px]."""
+        """Metres in a unit of depth, for a picture of this focal length [px]."""
         return self.factor * focal_px if self.per_focal else self.factor
 
 
@@ -39,7 +39,7 @@ RULES = {
     # ByteDance-Seed/Depth-Anything-3 on DA3METRIC-LARGE; its pictures have 504 px on their longest side.
     "da3": Rule("Depth Anything 3, metric", 1 / 300, per_focal=True),
     # The canonical camera has a focal length of 1000 px (arXiv 2404.15506, section 3.1; `hubconf.py` of
-    # YvanYin/Metric3D multiplies by intrinsic[0] / 1000); its ONNX export takes the mean off by itself.
+    # YvanYin/Metric3D multiplies by intrinsic[0] / 1000); its ONNX export subtracts the mean itself.
     "metric3d": Rule("Metric3D", 1 / 1000, per_focal=True, normalisation=AS_PIXELS, padding=IMAGENET.mean, side=1064),
     # "depth" is metres along the optical axis (README of lpiccinelli-eth/UniDepth).
     "unidepth": Rule("UniDepth", side=616),
@@ -48,7 +48,7 @@ IN_METRES = Rule("metres")
 
 
 def rule_of(told: str | None) -> Rule:
-    """The rule that `told` names: a number of metres, or a key of RULES; metres for None. Raises UsageError."""
+    """The rule that `told` gives: a number of metres, or a key of RULES; metres for None. Raises UsageError."""
     if told is None:
         return IN_METRES
     if told in RULES:
