@@ -32,7 +32,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
     if len(boxes) < MIN_VEHICLES:
         raise TooLittleEvidence(f"{amount(len(boxes), geometry.called)}, {MIN_VEHICLES} are needed")
     metres_per_unit = float(fleet.mean[0] / geometry.typical_length)
-    for _ in range(geometry.rounds):
+    for rounds_left in reversed(range(geometry.rounds)):
         seen = geometry.observe(metres_per_unit)
         solved = seen.solved
         if solved.sum() < MIN_VEHICLES:
@@ -53,7 +53,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         scale = method.pool(votes, fleet, seen.ruler, geometry.unit, seen.systematic.covariance, more)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
-        if change < geometry.settled:
+        if change < geometry.settled or not rounds_left:
             break
         geometry = geometry.refined(seen, votes, scale)
     return Measurement(

@@ -33,9 +33,9 @@ def measured_without_vehicles(
     judged = together.support.judged(together.posterior.spread)
     said = verdict(judged, False, together.conflict > 0, together.support.doubted)
     agreeing = _agreeing(together)
-    if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
+    if not together.conflict and (said == UNUSABLE or len({e.kind for e in agreeing}) < FEWEST_KINDS):
         raise _too_little("; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence))
-    remark = Remark(CAUTION, f"no vehicles: the scale rests on {' and '.join(agreeing)}")
+    remark = Remark(CAUTION, f"no vehicles: the scale rests on {' and '.join(e.says for e in agreeing)}")
     scale = Scale(
         value=value,
         unit=unit,
@@ -65,10 +65,10 @@ def _too_little(known: str) -> TooLittleEvidence:
     )
 
 
-def _agreeing(together: Combined) -> list[str]:
-    """What of the evidence is in the answer, in words."""
+def _agreeing(together: Combined) -> list[Evidence]:
+    """The evidence that agrees with the answer."""
     sigmas = [
         abs(np.log(e.value / together.summary[0])) / np.hypot(e.relative_sd, together.posterior.spread)
         for e in together.evidence
     ]
-    return [e.says for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SUPPORTS]
+    return [e for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SUPPORTS]
