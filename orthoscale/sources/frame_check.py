@@ -40,7 +40,8 @@ GRIDS = 6  # search grids, each half as wide as the one before: in the end error
 
 @dataclass(frozen=True)
 class _ZoomFit:
-    """Where a frame shows the points: (zoom + bend * r^2) times as far from the middle as the model, r in focal lengths.
+    """Where a frame shows the points: (zoom + bend * r^2) times as far from the middle as in the model, r in focal
+    lengths.
 
     own, best : correlation in the model's places, and in those. error : how much larger things are there, relative.
     """

@@ -239,8 +239,8 @@ def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
 
 
 def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstruction, list[Path]]:
-    """A model from nerfstudio's, and its point cloud's file: its poses are world_from_camera with y up and z back, as in
-    OpenGL."""
+    """A model from nerfstudio's, and the file of its point cloud: its poses are world_from_camera with y up and z back,
+    as in OpenGL."""
     cameras: dict[Any, tuple[str, int, int, list[float]]] = {}
     poses = {}
     for frame in text["frames"]:
