@@ -102,7 +102,7 @@ def _empty(picture: Windowed, row: int, column: int, rows: int, columns: int) ->
     y, height = _span(row, rows, picture.height)
     across, down = min(PATCH_SIDE, width), min(PATCH_SIDE, height)
     if picture.decoded_px(width, height, across, down) > 4 * across * down:  # no overview is as coarse
-        # Patches are spread within their cells, lest a narrow strip lie between them.
+        # Patches have different places within their cells, so that a narrow strip cannot lie between them.
         x += int((width - across) * (GOLDEN * row % 1))
         y += int((height - down) * (GOLDEN * column % 1))
         width, height = across, down
