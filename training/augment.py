@@ -1,4 +1,4 @@
-"""Random training crops: geometry first (one affine map), then light and sensor.
+"""Random training crops: first geometry (one affine map), then light and sensor.
 
 A crop is drawn so that its vehicles come out 11 to 75 px long, at any rotation, mirrored or not, with the slight
 anisotropy and lean that oblique views and bent orthophotos have. Half of the crops of scenes without vehicles get some
@@ -17,17 +17,17 @@ from .geometry import LENGTH_RANGE, MAX_ENLARGEMENT, transform_boxes, warp
 from .paste import paste
 from .targets import CROP, encode
 
-# LENGTH_RANGE for ground without vehicles [px]: a search for the scale looks at twice the right one, too.
+# Instead of LENGTH_RANGE for ground without vehicles [px]: the scale search also looks at twice the right zoom.
 BARE_RANGE = (11.0, 150.0)
 PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
-DECEIVING = 0.5  # share of the crops of pictures with lookalikes that are drawn about these, not about vehicles
+DECEIVING = 0.5  # share of the crops of pictures with lookalikes that are centred on these, not on vehicles
 SHADED = 0.35  # share of the crops with shadows cast on them
 # Shares of the crops whose colours are changed or lost, whose contrast is stretched, that are enlarged from fewer
 # pixels, and that are sharpened.
 COLOURED, STRETCHED, ENLARGED, SHARPENED = 0.4, 0.25, 0.15, 0.25
-# Share of the crops that are stretched along one axis, and by how much (one sigma): vehicles of other shapes than the
-# training scenes', of which a detector otherwise draws a part back to the usual one.
+# Share of the crops that are stretched along one axis, and by how much (one sigma, log). This gives vehicles of other
+# shapes than in the training scenes; without it, a detector partly draws unusual shapes back to the usual one.
 RESHAPED, SHAPES_SD = 0.3, 0.12
 
 
@@ -60,7 +60,7 @@ def crop(
         centre = shown[rng.integers(len(shown)), :2] + rng.uniform(-0.4, 0.4, 2) * CROP / scale
     else:
         centre = rng.uniform(0, 1, 2) * (image.width, image.height)
-    # Not much of a crop lies outside of the picture: there is nothing to learn there.
+    # Keep most of the crop inside the picture: there is nothing to learn outside.
     half = np.minimum(0.45 * CROP / scale, np.array([image.width, image.height]) / 2)
     centre = np.clip(centre, half, (image.width, image.height) - half)
     turn = rng.uniform(0, 2 * np.pi)
@@ -85,9 +85,9 @@ def crop(
 
 
 def glints(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Bright (or dark) specks, longer than wide and all one way, as the sun makes them on water; uint8 in and out.
+    """Bright (or dark) specks, elongated in one direction, like glints of the sun on water; uint8 in and out.
 
-    Where a random field is high. The network took the glints of a river, magnified, for white cars.
+    They are where a random field is high. The network took the glints of a river, magnified, for white cars.
     """
     size = np.exp(rng.uniform(*np.log((2.0, 12.0))))  # about the specks' half width [px]
     field = rng.standard_normal((CROP, CROP), np.float32)
@@ -108,17 +108,17 @@ def edge_shadow(rng: np.random.Generator) -> np.ndarray:
     return cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 3))
 
 
-COARSER = 8  # times fewer pixels in which the cover of whole crowns is drawn
+COARSER = 8  # factor by which the grid is coarser on which the shadow of whole crowns is drawn
 
 
 def leaves(rng: np.random.Generator) -> np.ndarray:
-    """(CROP, CROP) float32, 1 in the shadow of trees, 0 in the sun, which also comes through in flecks.
+    """(CROP, CROP) float32, 1 in the shadow of trees, 0 in the sun and in the flecks of sun that come through.
 
-    The network overlooked vehicles parked below trees.
+    Without this the network overlooked vehicles parked below trees.
     """
     cover = np.ones((CROP, CROP), np.float32)
     for size, share in ((rng.uniform(20, 60), rng.uniform(0.3, 0.9)), (rng.uniform(1.5, 6), rng.uniform(0.7, 1.0))):
-        coarser = COARSER if size > 2 * COARSER else 1  # what is so smooth needs no more pixels
+        coarser = COARSER if size > 2 * COARSER else 1  # so smooth a field needs no more pixels
         field = rng.standard_normal((CROP // coarser, CROP // coarser), np.float32)
         field = cv2.GaussianBlur(field, (0, 0), size / coarser, borderType=cv2.BORDER_REFLECT)
         field = cv2.resize(field, (CROP, CROP), interpolation=cv2.INTER_CUBIC)
@@ -128,7 +128,7 @@ def leaves(rng: np.random.Generator) -> np.ndarray:
 
 
 def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Light, haze, cast shadows, lost colour, and what cameras and makers of orthophotos do to a picture: uint8 in and
+    """Changes of light, haze, cast shadows, colour, and the processing by cameras and orthophoto software; uint8 in and
     out."""
     x = pixels.astype(np.float32) / 255
     if rng.random() < 0.8:
@@ -138,7 +138,7 @@ def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.12:  # haze
         x += np.float32(rng.uniform(0.1, 0.5)) * (np.float32(rng.uniform(0.6, 0.9)) - x)
     if rng.random() < SHADED:
-        light = np.float32(rng.uniform(0.2, 0.7) * np.array([0.93, 0.98, 1.09]))  # what is left is the sky's, bluish
+        light = np.float32(rng.uniform(0.2, 0.7) * np.array([0.93, 0.98, 1.09]))  # only light of the sky, bluish
         cover = leaves(rng) if rng.random() < 0.6 else edge_shadow(rng)
         x *= 1 + (light - 1) * cover[..., None]
     if rng.random() < COLOURED:  # none at all in a third
@@ -155,13 +155,14 @@ def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def stretch(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Contrast stretched as orthophotos are, until some of the shadows are black and some light things white."""
+    """Contrast stretched as in orthophotos, until some shadows are black and some light things white."""
     low, high = np.quantile(x[::4, ::4], (rng.uniform(0, 0.06), 1 - rng.uniform(0, 0.06)))
     return (x - np.float32(low)) / np.float32(max(high - low, 0.1))
 
 
 def sensed(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Blurred, enlarged from fewer pixels, sharpened until edges have halos, noisy; float32 0..1 in and out."""
+    """Each by chance: blurred, enlarged from fewer pixels, sharpened until edges have halos, noisy; float32 0..1 in and
+    out."""
     if rng.random() < 0.3:
         x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.4))
     if rng.random() < ENLARGED:

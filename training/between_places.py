@@ -1,10 +1,11 @@
-"""How far the vehicles of a place stray from their country's: ``python -m training.between_places ../shared/data``.
+"""How far the vehicles of places differ from their country's: ``python -m training.between_places ../shared/data``.
 
-Vehicles that were read by eye (`labels/by_hand.json`) in orthophotos of known scale have lengths in metres; their mean,
-against the country's fleet, is off by the luck of a few, by what is not known of the country, by the readers' habit
-(the mean over all places, taken off) and by how places differ. The last is the between-places standard deviation of a
-random-effects model (DerSimonian and Laird 1986), printed with its 90 % interval (Cochran's Q, Viechtbauer 2007).
-Widths are read in pictures finer than FINE only: in coarser ones readers take blur for vehicle.
+Vehicles that were measured by eye (`labels/by_hand.json`) in orthophotos of known scale have lengths in metres. Their
+mean differs from the country's fleet because they are few, because the country's fleet is not known exactly, because of
+the readers' bias (the mean over all places, which is subtracted), and because places differ. The last is the
+between-places standard deviation of a random-effects model (DerSimonian and Laird 1986), printed with its 90 % interval
+(Cochran's Q, Viechtbauer 2007). Widths are used only from pictures finer than FINE: in coarser ones readers take blur
+for vehicle.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ FEWEST = 3  # vehicles of a place
 
 
 def deviations(data: Path) -> dict[str, tuple[str, float, np.ndarray, np.ndarray]]:
-    """By place: country, metres per pixel, (2,) log mean length and width over the fleet's, (2,) one sigma of that by
-    the number of vehicles."""
+    """By place: country, metres per pixel, (2,) log ratio of mean length and width to the fleet's, (2,) its one sigma
+    due to the number of vehicles."""
     truth = {}
     for folder in ("places", "orthophotos"):
         truth |= {Path(k).stem: v for k, v in json.loads((data / folder / "truth.json").read_text()).items()}

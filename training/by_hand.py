@@ -1,4 +1,4 @@
-r"""Vehicles measured by hand, and by how much the labels of each scene are longer and wider than them.
+r"""Vehicles measured by hand, and by how much the labels of each scene exceed them in length and width.
 
     python -m training.by_hand sheets --labels ../shared/data/vehicles/labels.json \\
         --labels runs/synthetic/labels.json --checked ../shared/data --out runs/by_hand
@@ -9,20 +9,21 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
     python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
     python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
 
-`sheets` draws vehicles of all scenes that were not measured before, in random order, enlarged, turned about level,
-without any box, each at its own scale and place, so that one cell's answer tells nothing about the next. A reader says
-where each ends, sees the answers drawn, corrects them, and leaves out what cannot be told. `--found` needs only a
-detector's boxes (a detections file, or a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where
-to look and nothing else. What is read `--again` is averaged with what was read before, each reader once.
+`sheets` draws vehicles of all scenes that were not measured before: in random order, enlarged, roughly level, without
+any box, each at a scale and place of its own, so that one cell says nothing about the next. A reader marks the ends of
+each vehicle, checks and corrects the marks on drawn sheets, and leaves out vehicles that cannot be measured. `--found`
+needs only a detector's boxes (a detections file, or a plain
+``{picture: [{cx, cy, length, width, angle, score}]}``), which serve only to find the vehicles. What is read `--again`
+is averaged with former readings, each reader having equal weight.
 
-READINGS.json is ``{"CELL": [left, right, top, bottom, tilt] or null, ...}``: where the vehicle ends in its cell [px of
-the cell, as its rulers count], once the vehicle is turned level about its centre by `tilt` [deg, clockwise on screen],
-and null for what cannot be told within 3 %. `READING` says how to read, and is written beside the sheets.
+READINGS.json is ``{"CELL": [left, right, top, bottom, tilt] or null, ...}``: the ends of the vehicle in its cell [px of
+the cell, as on its rulers], after the vehicle was turned level about its centre by `tilt` [deg, clockwise on screen];
+null for what cannot be measured within 3 %. `READING` explains how to read, and is written beside the sheets.
 
-The margin of a scene's labels is what they exceed the readings by, lengths and widths for themselves, in pixels of the
-scene's pictures: the median of label - reading. No metres and no fleet enter. Two things show the reader's own habit:
-rendered vehicles, whose labels are exact (the margin of ``synthetic`` should be nothing), and places of known scale,
-where a fleet's mean size is known.
+The margin of a scene's labels is the median of label - reading, separately for lengths and widths, in pixels of the
+scene's pictures. It does not depend on metres or a fleet. Two things show the reader's own bias: rendered vehicles,
+whose labels are exact (the margin of ``synthetic`` should be zero), and places of known scale, where a fleet's mean
+size is known.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ from orthoscale.core.boxes import Boxes
 from .data import as_stored, read_labels
 from .evaluate import BY_HAND, checked_scenes, measured_scenes, middle, reference_scene
 
-CELL = (400, 230)  # width, height [px of the sheet]; a sheet of twelve is as large as models see without shrinking it
+CELL = (400, 230)  # width, height [px of the sheet]; vision models see a sheet of twelve without reducing it
 COLUMNS, ROWS = 3, 4
 PER_SHEET = COLUMNS * ROWS
 LENGTHS = (230.0, 310.0)  # of a vehicle's label in its cell [px]
-SHIFT = 16.0  # of the label's centre from the cell's, at most, either way [px]
-TURN = 4.0  # of the label from level, at most, either way [deg]
+SHIFT = 16.0  # largest shift of the label's centre from the cell's, either way [px]
+TURN = 4.0  # largest rotation of the label from level, either way [deg]
 SMALLEST = 24.0  # vehicles shorter than this are not measured, unless asked for [px of the picture]
 TICK, LINE = 10, 50  # between marks of a cell's rulers, and between its numbered lines [px]
 READING = """How to read the sheets of this folder (sheet_00.png, sheet_01.png, ...).
@@ -93,7 +94,7 @@ def choose(
     """`count` vehicles of each scene, at least `smallest` px long, in random order, from as many pictures as possible.
 
     pictures : scene, file, vehicles (N, 5) and (width, height) [px] of each.
-    kept : vehicles as labels/by_hand.json has them; these were measured before and are left out.
+    kept : vehicles in the form of labels/by_hand.json that were measured before, and are left out.
     """
     before: dict[str, list[list[float]]] = {}
     for vehicle in kept:
@@ -122,7 +123,7 @@ def _measured_before(boxes: np.ndarray, read: Sequence[Sequence[float]]) -> np.n
 
 
 def cell_about(scene: str, picture: Path, box: np.ndarray, rng: np.random.Generator) -> Cell:
-    """A cell of the vehicle in `box` (5,) of a picture, at a scale, place and turn by chance."""
+    """A cell with the vehicle in `box` (5,) of a picture, at a random scale, place and rotation."""
     scale = rng.uniform(*LENGTHS) / box[2]
     turn = -box[4] + np.radians(rng.uniform(-TURN, TURN)) + np.pi * rng.integers(2)
     linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -157,8 +158,8 @@ def draw_cell(cell: Cell) -> np.ndarray:
 
 
 def read_box(reading: Sequence[float]) -> np.ndarray:
-    """(5,) box [px of the cell] of a reading: left, right, top and bottom end of the vehicle turned level about its
-    centre [px], and how far it is turned from level, clockwise on screen [deg]."""
+    """(5,) box [px of the cell] of a reading: left, right, top and bottom end of the vehicle after it was turned level
+    about its centre [px], and its tilt from level, clockwise on screen [deg]."""
     left, right, top, bottom, tilt = reading
     return np.array([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top, np.radians(tilt)])
 
@@ -172,8 +173,8 @@ def to_picture(box: np.ndarray, to_cell: np.ndarray) -> np.ndarray:
 
 
 def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """By scene: its labels' margin of length and width (2,) [px], that median's uncertainty (2,), and the measured
-    sizes (N, 2) [px]. kept : vehicles as labels/by_hand.json has them."""
+    """By scene: margin of its labels in length and width (2,) [px], a median; its uncertainty (2,); and the measured
+    sizes (N, 2) [px]. kept : vehicles in the form of labels/by_hand.json."""
     sizes: dict[str, list[tuple[list[float], list[float]]]] = {}
     for vehicle in kept:
         sizes.setdefault(vehicle["scene"], []).append((vehicle["label"][2:4], vehicle["read"][2:4]))
@@ -181,13 +182,13 @@ def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.
     for scene, pairs in sizes.items():
         label, read = np.array(pairs).transpose(1, 0, 2)
         median, spread = middle(label - read)
-        # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
+        # The variance of a normal sample's median is pi/2 times that of its mean.
         told[scene] = (median, spread * np.sqrt(np.pi / 2 / len(read)), read)
     return told
 
 
 def sheet_options(parser: argparse.ArgumentParser, smallest: float, count: int) -> None:
-    """What `pictures_of` and `choose` ask for."""
+    """Add the options that `pictures_of` and `choose` need."""
     parser.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
     parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
     parser.add_argument("--again", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
@@ -200,7 +201,7 @@ def sheet_options(parser: argparse.ArgumentParser, smallest: float, count: int) 
 
 
 def pictures_of(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
-    """Scene, file, vehicles (N, 5) and (width, height) [px] of each picture that `sheet_options` name."""
+    """Scene, file, vehicles (N, 5) and (width, height) [px] of each picture that the `sheet_options` select."""
     return (picture for picture in _every_picture(options) if not options.scenes or picture[0] in options.scenes)
 
 
@@ -221,7 +222,7 @@ def _every_picture(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.
 
 
 def write_cells(folder: Path, cells: Sequence[Cell], reading: str) -> None:
-    """Write what `read_sheets` reads, and how to read the sheets."""
+    """Write the file that `read_sheets` reads, and the instructions `reading` for the reader."""
     folder.mkdir(parents=True, exist_ok=True)
     entries = [
         {"scene": c.scene, "picture": str(c.picture), "to_cell": c.to_cell.tolist(), "label": c.label.tolist()}
@@ -244,12 +245,12 @@ def read_sheets(folder: Path) -> list[Cell]:
 
 
 def read_answers(file: Path) -> dict[int, list[float]]:
-    """A reader's file, {cell: [left, right, top, bottom, tilt] or null}, without what could not be told."""
+    """A reader's file, {cell: [left, right, top, bottom, tilt] or null}, without the cells that could not be read."""
     return {int(cell): reading for cell, reading in json.loads(file.read_text()).items() if reading is not None}
 
 
 def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
-    """Write the sheets that were read once more, with the answers drawn on them."""
+    """Write the sheets that were read again, with the answers drawn on them."""
     cells = read_sheets(folder)
     wanted = {number // PER_SHEET for number in answers}
     drawn = {number: draw_cell(cell) for number, cell in enumerate(cells) if number // PER_SHEET in wanted}
@@ -260,8 +261,8 @@ def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
 
 
 def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path) -> list[dict]:
-    """Vehicles as labels/by_hand.json has them: the mean box where several have read one. Pictures are named from the
-    folder `data` on, others by their name alone."""
+    """Vehicles in the form of labels/by_hand.json; if several readers have read one, with the mean box. Pictures in the
+    folder `data` have paths relative to it, others their name alone."""
     kept = []
     for number, cell in enumerate(read_sheets(folder)):
         boxes = [to_picture(read_box(answers[number]), cell.to_cell) for answers in readers if number in answers]
@@ -277,13 +278,13 @@ def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path
 
 
 def stored_name(picture: Path, data: Path) -> str:
-    """A picture's path from the folder `data` on, its name alone if it lies elsewhere."""
+    """A picture's path relative to the folder `data`; its name alone if it lies elsewhere."""
     file, data = picture.resolve(), data.resolve()
     return str(file.relative_to(data)) if file.is_relative_to(data) else file.name
 
 
 def joined(kept: Iterable[dict], new: Iterable[dict]) -> list[dict]:
-    """Vehicles as `measured` gives them, those of the same picture and place as one: the mean over all readers."""
+    """Vehicles as from `measured`; those of the same picture and place are merged into the mean over all readers."""
     vehicles = list(kept)
     by_picture: dict[str, list[int]] = {}
     for n, vehicle in enumerate(vehicles):
@@ -304,7 +305,7 @@ def joined(kept: Iterable[dict], new: Iterable[dict]) -> list[dict]:
 
 
 def join(folder: Path, name: str, cells: dict[int, np.ndarray], columns: int, rows: int) -> None:
-    """Write pictures of cells, all of one size, to sheets of `columns` x `rows` of them, by their numbers."""
+    """Write pictures of cells, all of the same size, in order of their numbers to sheets of `columns` x `rows`."""
     for sheet in {number // (columns * rows) for number in cells}:
         mine = {number: cell for number, cell in cells.items() if number // (columns * rows) == sheet}
         height, width = next(iter(mine.values())).shape[:2]
@@ -326,12 +327,12 @@ def _join_numbered(folder: Path, name: str, cells: dict[int, np.ndarray]) -> Non
 
 
 def load_kept(file: Path) -> dict[str, Any]:
-    """A file of vehicles as `store` writes it; none where there is no file."""
+    """A file of vehicles as `store` writes it; without vehicles if there is no file."""
     return json.loads(file.read_text()) if file.exists() else {"vehicles": []}
 
 
 def store(file: Path, kept: dict[str, Any]) -> None:
-    """Write what is said of the vehicles that are `kept`, and a line for each of them."""
+    """Write `kept`: its texts, and a line for each of its vehicles."""
     rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept["vehicles"])
     rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items() if name != "vehicles")
     file.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')

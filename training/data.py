@@ -1,11 +1,11 @@
-"""Label files and their images, as arrays ready to be cropped.
+"""Reads label files and their images as arrays that are ready to be cropped.
 
 A label file is ``{"images": [{"file", "set", "width", "height", "source", "licence", "boxes": [...]}]}``; a box is
 ``{"cx", "cy", "length", "width", "angle", "kind"}`` in pixels (corner origin: the top-left pixel's centre is
 (0.5, 0.5)) and radians of the long side from +x, clockwise on screen. The images lie in ``images/`` beside it.
 
 Kinds: ``vehicle`` is learnt; everything else (``large-vehicle``, ``ignore``, ``candidate``) is neither vehicle nor
-background: the network gets no gradient there.
+background, and gives the network no gradient.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from orthoscale.sources.picture_file import stored_size
 
-# Assumed where a picture has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
+# Vehicle length assumed for a picture without vehicles [px]; it only sets how such ground is enlarged or reduced.
 NOMINAL_LENGTH = 45.0
 
 
@@ -41,14 +41,14 @@ class LabelledImage:
 
     @classmethod
     def unlabelled(cls, path: Path, scene: str) -> LabelledImage:
-        """A picture of which nothing is known; it is read at once."""
+        """A picture without labels; it is read at once."""
         image = cls(path, scene, 0, 0, "", "", np.empty((0, 5)), np.empty(0, object))
         image.height, image.width = image.level(0).shape[:2]
         return image
 
     @property
     def is_vehicle(self) -> np.ndarray:
-        """(N,) bool; False: neither vehicle nor background."""
+        """(N,) bool; False means neither vehicle nor background."""
         return self.kinds == "vehicle"
 
     @property
@@ -77,12 +77,12 @@ class LabelledImage:
 LABELS = Path(__file__).parent / "labels"
 MARGINS = LABELS / "margins.json"
 JUDGED = LABELS / "judged.json"
-BACKGROUND = "background"  # kind of a judged box that looks like a vehicle and is none
-LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
+BACKGROUND = "background"  # kind of a judged box that looks like a vehicle but is not one
+LARGEST_SHARE = 0.25  # of the width that a margin may take off, so that tiny boxes stay boxes
 
 
 def as_stored(path: Path) -> np.ndarray:
-    """(h, w, 3) uint8 BGR, the picture as it is stored, however its tags want it turned. Raises ValueError."""
+    """(h, w, 3) uint8 BGR, the picture as it is stored; its EXIF orientation is ignored. Raises ValueError."""
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
         raise ValueError(f"{path}: not an image that OpenCV can read")
@@ -90,15 +90,16 @@ def as_stored(path: Path) -> np.ndarray:
 
 
 def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -> list[LabelledImage]:
-    """The images of one label file, in its order, each box freed of its scene's margin (labels/margins.json).
+    """The images of one label file, in its order, with the margin of their scene taken off the boxes
+    (labels/margins.json).
 
-    People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
-    that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
-    What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not. Boxes
-    judged to be background are no labels: they are the image's `lookalikes`.
+    People and detectors draw boxes around a vehicle with a margin, which differs between the labels of scenes. A
+    network that learns from them unchanged measures a vehicle by the scene that it resembles. `tighten=False`: the
+    boxes as drawn. Boxes that the labels lack and a person has judged since (labels/judged.json) are added, unless
+    `complete=False`. Boxes judged to be background are not labels, but the image's `lookalikes`.
 
-    The boxes of a folder of pictures are in labels/FOLDER.json (see `propose`); all whose names differ only in digits
-    are one scene.
+    The boxes of a folder of pictures are in labels/FOLDER.json (see `propose`); pictures whose names differ only in
+    digits are one scene.
     """
     margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
     if label_file.is_dir():
@@ -124,7 +125,7 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
 
 
 def _of_folder(folder: Path, margin: float | list[float]) -> list[LabelledImage]:
-    """The pictures of a folder that labels/FOLDER.json names, with its boxes."""
+    """The pictures of a folder that labels/FOLDER.json lists, with their boxes."""
     labels = json.loads((LABELS / f"{folder.name}.json").read_text())
     images = []
     for file, rows in labels["images"].items():
@@ -140,12 +141,12 @@ def _of_folder(folder: Path, margin: float | list[float]) -> list[LabelledImage]
 
 
 def _lookalikes(rows: dict[str, list[list[float]]]) -> np.ndarray:
-    """(N, 5) the boxes that were judged to be no vehicle."""
+    """(N, 5) the boxes that were judged not to be vehicles."""
     return np.array(rows.get(BACKGROUND, []), float).reshape(-1, 5)
 
 
 def group_of(picture: str) -> str:
-    """The name without its digits and its ending."""
+    """The name without its last digits and its ending."""
     return Path(picture).stem.rstrip("0123456789")
 
 
@@ -155,7 +156,7 @@ def _stacked(rows: dict[str, list[list[float]]]) -> np.ndarray:
 
 
 def _kinds(rows: dict[str, list[list[float]]]) -> np.ndarray:
-    """(N,) the kind of each."""
+    """(N,) the kind of each box, in the same order."""
     return np.array([kind for kind, of_kind in rows.items() for _ in of_kind], dtype=object)
 
 
@@ -168,7 +169,7 @@ def _freed(boxes: np.ndarray, margin: float | list[float]) -> np.ndarray:
 def _with_judged(
     boxes: np.ndarray, kinds: np.ndarray, judged: dict[str, list[list[float]]], margin: float | list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Labels and what was judged since; a candidate whose centre lies in a judged box is settled by that."""
+    """Labels and the boxes judged since; a judged box replaces candidates whose centres lie in it."""
     added, added_kinds = _freed(_stacked(judged), margin), _kinds(judged)
     away = boxes[:, None, :2] - added[None, :, :2]
     settled = (np.hypot(away[..., 0], away[..., 1]) < added[:, 3] / 2).any(1) & (kinds == "candidate")

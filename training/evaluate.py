@@ -1,27 +1,26 @@
-r"""How good a detector's boxes are: found or not, and of what size.
+r"""How good a detector's boxes are: which vehicles it finds, and how large their boxes are.
 
     python -m training.evaluate --detector orthoscale/detect/weights/small_vehicle.onnx \\
         --labels ../shared/data/vehicles/labels.json --scenes ohio \\
         --checked ../shared/data --reference sheffield=../shared/data/reconstructions/sheffield/images:BOXES.json \\
         --margin ../shared/data/orthophotos/manila.tif:0.0967:PH --json evaluation.json --picture evaluation.png
 
-Every picture is swept as a user's would be (`orthoscale.detect.sweep`: a vehicle must show in two looks; `--looks 1`
+Every picture is swept as a user's would be (`orthoscale.detect.sweep`: a vehicle must show in two passes; `--looks 1`
 for the network alone), at the zoom that brings the median labelled vehicle of its scene to the detector's best length.
-A box that overlaps a label by half or more (intersection over union) is a hit. Where the labels do not speak (other
-kinds, vehicles cut by the picture's edge) boxes count neither way.
+A box that overlaps a label by half or more (intersection over union) is a hit. In ignored areas (other kinds, vehicles
+cut by the picture's edge) boxes count neither way.
 
-Detectors of different training give different scores to what they are equally sure of; the last line counts false boxes
-at equal recall, over all scenes with complete labels. ``--rendered`` are orthophotos of `orthoscale.synthetic`, with
-exact truth; ``--aside 1.6`` looks at 1.6 times the right zoom, as a search for the scale does, where hardly any box is
-a vehicle.
+Scores of differently trained detectors are not comparable, so the last line counts false boxes at equal recall, over
+all scenes with complete labels. ``--rendered`` are orthophotos of `orthoscale.synthetic`, with exact truth; ``--aside
+1.6`` looks at 1.6 times the right zoom, as the scale search does, where hardly any box is a vehicle.
 
-Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
-that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
-vehicle (`labels/checked.json`, and `labels/places.json` where the data have that folder); boxes of the former were
-proposed by detector version 2, so their sizes are no measure of it. `--by-hand` compares sizes with vehicles measured
-by hand (`labels/by_hand.json`), in scenes trained on and not.
-References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
-give recall and sizes only, and the sizes carry that detector's margin.
+Only scenes that the detector has not seen show how good it is. In `warsaw` and `bogota` not every vehicle is labelled,
+so precision is too low there. `--checked` are pictures never trained on in which a person has looked for every vehicle
+(`labels/checked.json`, and `labels/places.json` if the data have that folder); boxes of the former were proposed by
+detector version 2, so they are no reference for its sizes. `--by-hand` compares sizes with vehicles measured by hand
+(`labels/by_hand.json`), in scenes trained on and others.
+References are boxes of another detector on scenes never trained on. They are precise but incomplete, so they give only
+recall and sizes, and the sizes include that detector's margin.
 
 ``--margin`` measures what the card's ruler needs: the pixels by which the detector's boxes are longer and wider than
 vehicles, from near-vertical pictures of known ground sampling distance.
@@ -54,11 +53,11 @@ CHECKED = Path(__file__).parent / "labels" / "checked.json"
 PLACES = Path(__file__).parent / "labels" / "places.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
-LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
+LOWEST_SCORE = 0.05  # boxes below are left out; the precision-recall curve ends there
 ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
-VISIBLE = 0.6  # share of a rendered vehicle from which it is to be found
+VISIBLE = 0.6  # visible share of a rendered vehicle from which it should be found
 RECALLS = (0.7, 0.8, 0.85, 0.9, 0.95)  # at which false boxes are counted
-# A box counts as a vehicle of the fleet, when margins are fitted, within this factor of the expected length and width.
+# For the fit of margins, a box counts as a vehicle of the fleet within this factor of the expected length and width.
 PLAUSIBLE = 1.5
 
 
@@ -81,14 +80,14 @@ class Scene:
 
     @property
     def length(self) -> float:
-        """Median labelled vehicle length [px]; an assumed one where there are no vehicles."""
+        """Median labelled vehicle length [px]; an assumed one if there are no vehicles."""
         lengths = np.concatenate([p.vehicles[:, 2] for p in self.pictures])
         return float(np.median(lengths)) if len(lengths) else NOMINAL_LENGTH
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One picture's boxes beside its labels; boxes in ignored ground are left out.
+    """One picture's boxes and labels; boxes in ignored areas are left out.
 
     hit : (K,) the label that box k found, -1 for none.
     """
@@ -100,10 +99,10 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Result:
-    """One scene in figures; None where it cannot be told.
+    """Figures of one scene; None for those that cannot be determined.
 
-    false : boxes that are no vehicle, at the card's score. length, width : of log(box / label) its median, its robust
-    spread, and the median of its size, the usual error. angle : median absolute difference [deg].
+    false : boxes that are not vehicles, at the card's score. length, width : median, robust spread and median absolute
+    value of log(box / label). angle : median absolute difference [deg].
     """
 
     scene: str
@@ -129,7 +128,7 @@ def compare(boxes: Boxes, vehicles: np.ndarray, ignored: np.ndarray) -> Comparis
 
 
 def _centred_in(points: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """(K,) whether a point (K, 2) lies in any of the boxes (M, 5)."""
+    """(K,) whether each of the points (K, 2) lies in any of the boxes (M, 5)."""
     d = points[:, None] - boxes[None, :, :2]
     cos, sin = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
     u = d[..., 0] * cos + d[..., 1] * sin
@@ -147,7 +146,7 @@ def average_precision(score: np.ndarray, is_hit: np.ndarray, vehicles: int) -> f
 
 
 def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: float) -> Result:
-    """The figures of one scene; all but the average precision are those of boxes with at least `score`."""
+    """The figures of one scene; all but the average precision are for boxes with at least `score`."""
     vehicles = sum(len(c.vehicles) for c in comparisons)
     scores = np.concatenate([c.boxes.score for c in comparisons])
     is_hit = np.concatenate([c.hit >= 0 for c in comparisons])
@@ -174,7 +173,7 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
 
 
 def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
-    """Median, 1.48 times the median deviation from it, and median size; None of nothing."""
+    """Median, 1.48 times the median absolute deviation from it, and median absolute value; None without values."""
     if not len(values):
         return None
     centre, spread = middle(values)
@@ -182,13 +181,13 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
 
 
 def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `values` (N, ...) over the first axis, and 1.48 times the median deviations from them."""
+    """Medians of `values` (N, ...) over the first axis, and 1.48 times the median absolute deviations from them."""
     median = np.median(values, axis=0)
     return median, ROBUST * np.median(np.abs(values - median), axis=0)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
-    """The scenes of a label file called `names` (all, if none). Raises ValueError for one that is not in it."""
+    """The scenes `names` of a label file (all if there are none). Raises ValueError for one that is not in it."""
     images = read_labels(label_file)
     present = list(dict.fromkeys(image.scene for image in images))
     if unknown := set(names) - set(present):
@@ -246,8 +245,8 @@ def place_scenes(data: Path) -> list[Scene]:
 
 
 def measured_scenes(data: Path, file: Path | None = None) -> list[Scene]:
-    """The vehicles of labels/by_hand.json, or of another such file, whose pictures lie under `data`; there are others
-    beside them."""
+    """The vehicles of labels/by_hand.json, or of another such file, whose pictures lie under `data`. The pictures show
+    other vehicles, too."""
     scenes: dict[str, dict[Path, list[list[float]]]] = {}
     for vehicle in json.loads((file or BY_HAND).read_text())["vehicles"]:
         if (picture := data / vehicle["picture"]).exists():
@@ -302,9 +301,9 @@ def twice_seen(
     detect: Callable[[np.ndarray], Boxes],
     confirm: Callable[[np.ndarray], Boxes] | None = None,
 ) -> dict[str, Boxes]:
-    """Vehicles by picture name that two looks show, as a user's sweep takes them, scored by the mean of both.
+    """Vehicles by picture name that two passes show, as in a user's sweep, with the mean score of both.
 
-    confirm : takes the second look, whose sizes then do not count; by default `detect` takes it.
+    confirm : makes the second pass, whose sizes then do not count; by default `detect` makes it.
     """
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     looks = ((number, look_twice(*job, detect, confirm)) for number, job in enumerate(jobs))
@@ -321,14 +320,15 @@ def evaluate(
     aside: float = 1.0,
     confirm: Callable[[np.ndarray], Boxes] | None = None,
 ) -> tuple[Result, list[Comparison]]:
-    """Sweep a scene's pictures, at `aside` times the right zoom, and compare. `detect` gives boxes of all scores,
-    `score` is that of the figures (of the mean of both looks, where there are two). confirm : see `twice_seen`."""
+    """Sweep a scene's pictures at `aside` times the right zoom, and compare. `detect` gives boxes of all scores; the
+    figures are for boxes with at least `score` (the mean of both passes if there are two). confirm : see
+    `twice_seen`."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
     found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
     comparisons = []
     for p in scene.pictures:
-        # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.
+        # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.
         labels = Boxes(p.vehicles, np.ones(len(p.vehicles)))
         whole = labels.inside(p.picture.width, p.picture.height, TILE_BORDER / zoom)
         ignored = np.concatenate([p.ignored, labels.xylwa[~whole]])
@@ -356,7 +356,7 @@ def table(results: Iterable[Result]) -> str:
 
 
 def at_equal_recall(comparisons: Sequence[Comparison]) -> str:
-    """A line that says how many false boxes all pictures have at the scores at which RECALLS are reached."""
+    """A line with the number of false boxes in all pictures at the scores at which RECALLS are reached."""
     score = np.concatenate([c.boxes.score for c in comparisons])
     is_hit = np.concatenate([c.hit >= 0 for c in comparisons])
     vehicles = sum(len(c.vehicles) for c in comparisons)
@@ -375,7 +375,7 @@ def _figure(value: float | None, form: str = ".3f") -> str:
 
 
 def draw(comparisons: list[Comparison], scene: Scene, score: float, width: int = 1400) -> np.ndarray:
-    """The scene's picture with most to see, BGR: hits green, false boxes red, missed vehicles blue."""
+    """The scene's picture with the most boxes and vehicles, BGR: hits green, false boxes red, missed vehicles blue."""
     busy = [len(c.vehicles) + int((c.boxes.score >= score).sum()) for c in comparisons]
     k = int(np.argmax(busy))
     c, p = comparisons[k], scene.pictures[k].picture
@@ -400,7 +400,7 @@ def draw(comparisons: list[Comparison], scene: Scene, score: float, width: int =
 class Margin:
     """What a detector adds to a vehicle's length and width [detector px].
 
-    value, sd : (2,) weighted mean over the scenes and its uncertainty, widened where the scenes disagree.
+    value, sd : (2,) weighted mean over the scenes and its uncertainty, enlarged if the scenes disagree.
     scenes, scenes_sd : (S, 2) each scene's own value and uncertainty.
     left_out : (S, 2) the value from all the other scenes; nan with a single scene.
     """
@@ -418,8 +418,8 @@ def fit_margin(known: Sequence[tuple[np.ndarray, np.ndarray, float | np.ndarray,
     known : per scene its boxes' lengths and widths (N,) [detector px], metres per detector pixel (one, or one per
         vehicle (N,)), and the fleet. Every vehicle votes ``box - fleet / gsd`` and a scene's median counts.
 
-    A scene weighs by how well its fleet's mean is known and by its vehicles' scatter; many vehicles do not make up for
-    an unknown fleet.
+    A scene's weight depends on how well its fleet's mean is known and on its vehicles' scatter; many vehicles do not
+    make up for an unknown fleet.
     """
     scenes, variances = [], []
     for length_px, width_px, gsd, fleet in known:
@@ -427,14 +427,14 @@ def fit_margin(known: Sequence[tuple[np.ndarray, np.ndarray, float | np.ndarray,
         votes = np.column_stack([length_px, width_px]) - expected
         median, scatter = middle(votes)
         fleet_sd = np.sqrt(np.diag(fleet.log_mean_covariance)) * np.median(expected, axis=0)
-        # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
+        # The variance of a normal sample's median is pi/2 times that of its mean.
         variances.append(fleet_sd**2 + np.pi / 2 * scatter**2 / len(votes))
         scenes.append(median)
     values, weights = np.array(scenes), 1 / np.array(variances)
     total = weights.sum(0)
     value = (weights * values).sum(0) / total
     freedom = max(len(values) - 1, 1)
-    surprise = (weights * (values - value) ** 2).sum(0) / freedom  # near 1 where the scenes agree (Birge 1932)
+    surprise = (weights * (values - value) ** 2).sum(0) / freedom  # near 1 if the scenes agree (Birge 1932)
     with np.errstate(invalid="ignore", divide="ignore"):
         others = total - weights
         left_out = np.where(others > 1e-9 * total, ((weights * values).sum(0) - weights * values) / others, np.nan)

@@ -1,4 +1,4 @@
-"""Write the trained network as ONNX, with the card that says what its boxes mean.
+"""Write the trained network as ONNX, with the card that describes its boxes.
 
     python -m training.export --run runs/v1 --card training/card_v1.json --out small_vehicle.onnx
 
@@ -18,7 +18,7 @@ from .network import NETWORKS
 
 
 def add_card(onnx_file: Path, card: dict, out: Path) -> None:
-    """`with_card` for a detector's; checks that the card reads back."""
+    """`with_card` for a detector; checks that the card can be read."""
     from orthoscale.detect.detector import Card
 
     Card.from_json(json.dumps(card))
@@ -28,8 +28,8 @@ def add_card(onnx_file: Path, card: dict, out: Path) -> None:
 def with_card(onnx_file: Path, card: dict, out: Path) -> None:
     """Copy `onnx_file` to `out` with `card` as its metadata entry ``orthoscale``.
 
-    It names only those sets of operators that it uses: onnxruntime's tools name all that they know, and its older
-    versions refuse what they do not know.
+    The copy lists only the operator sets that it uses: onnxruntime's tools list all that they know, and its older
+    versions refuse unknown ones.
     """
     import onnx
 

@@ -1,4 +1,4 @@
-"""Where a crop's pixels and boxes come from: one affine map for both."""
+"""The geometry of crops: one affine map for pixels and boxes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .data import LabelledImage
 from .targets import CROP
 
 LENGTH_RANGE = (11.0, 75.0)  # vehicle length in a crop [px]
-MAX_ENLARGEMENT = 2.6  # as coarse orthophotos are enlarged for the detector, whatever blur that shows
+MAX_ENLARGEMENT = 2.6  # coarse orthophotos are enlarged as much for the detector, whatever the blur
 
 
 def warp(
@@ -17,13 +17,13 @@ def warp(
 ) -> np.ndarray:
     """The crop's pixels, uint8 (CROP, CROP, 3).
 
-    Shrinking starts from one of the two half-size levels about `scale`, by chance: the finer one gives edges crisper,
-    the coarser one softer than the area filter by which pictures are shrunk for the detector. A size must not depend on
-    that (version 2 of the weights, trained on crisp ones, made boxes 2 % larger at the coarser look).
+    A reduction starts from one of the two half-size levels next to `scale`, by chance: the finer one gives sharper
+    edges, the coarser one softer edges than the area filter that reduces pictures for the detector. A size must not
+    depend on that (version 2 of the weights, trained on sharp ones, made boxes 2 % larger in the coarse pass).
     """
     octave = int(np.clip(np.floor(np.log2(1 / scale) + rng.random()), 0, 3))
     source = image.level(octave)
-    # OpenCV puts a pixel's centre at its integer index, the labels half a pixel further.
+    # OpenCV puts a pixel's centre at its integer index, the labels put it half a pixel further.
     a = linear * shrunk_by(image.level(0), source)
     t = shift + a @ (0.5, 0.5) - 0.5
     return cv2.warpAffine(
@@ -33,8 +33,8 @@ def warp(
 
 
 def shrunk_by(picture: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """(2,) across and down, how many pixels of `picture` one of its `level` is: not quite a power of two, since a half
-    of an odd size lacks half a pixel, though it shows all that the whole does."""
+    """(2,) size of a pixel of `level` in pixels of `picture`, across and down. It is not quite a power of two, since
+    half of an odd size is rounded down, although the level shows the whole picture."""
     return np.array([picture.shape[k] / level.shape[k] for k in (1, 0)])
 
 

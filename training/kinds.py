@@ -1,4 +1,4 @@
-r"""Kinds of vehicles told by eye: car, pickup, van, larger.
+r"""Kinds of vehicles, classified by eye: car, pickup, van, larger.
 
     python -m training.kinds sheets --labels ../shared/data/vehicles/labels.json --count 800 --out runs/kinds
     python -m training.kinds sheets --labels ../shared/data/vehicles/chips --likely 0.15 --out runs/rare
@@ -6,11 +6,11 @@ r"""Kinds of vehicles told by eye: car, pickup, van, larger.
     python -m training.kinds keep runs/kinds ANSWERS.json [ANSWERS.json ...] --data ../shared/data
     python -m training.kinds agreement runs/kinds ANSWERS.json ANSWERS.json    # of two readers of the same sheets
 
-`sheets` draws vehicles as `training.by_hand` does, smaller and without rulers; with `--likely`,
-only those that may be pickups or vans, of which there are few among all. ANSWERS.json has a line of letters for
-each row of a sheet, ``{"SHEET": ["ccpcvccc", ...], ...}``; `READING` says which, and is written beside the sheets.
-`keep` adds to labels/kinds.json what all readers of a vehicle say alike; of a vehicle that they differ about, or that
-one cannot tell, nothing is kept.
+`sheets` draws vehicles as `training.by_hand` does, smaller and without rulers; with `--likely`, only those that may be
+pickups or vans, which are rare. ANSWERS.json has a string of letters for each row of a sheet,
+``{"SHEET": ["ccpcvccc", ...], ...}``; `READING` explains them, and is written beside the sheets. `keep` adds to
+labels/kinds.json the vehicles on which all readers agree; one that they disagree on, or that one of them cannot
+classify, is left out.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from .by_hand import (
 from .data import as_stored
 
 LABELS = Path(__file__).parent / "labels" / "kinds.json"
-SHARE = 0.5  # of the cells that edges are read in
+SHARE = 0.5  # size of a cell, as a share of the cells in which edges are read
 COLUMNS, ROWS = 6, 8
 PER_SHEET = COLUMNS * ROWS
 SMALLEST = 12.0  # vehicles shorter than this are not drawn [px of the picture]
@@ -74,23 +74,24 @@ pickups. Crop and magnify a cell when in doubt.
 def likely_rare(
     pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], measurer: Measurer, least: float
 ) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
-    """The pictures, as `by_hand.choose` takes them, with those vehicles alone of whose kind the measurer gives at
-    least so much to RARE."""
+    """The pictures, as `by_hand.choose` takes them, with only those vehicles that the measurer gives a probability of
+    at least `least` to be of a RARE kind."""
     for scene, file, boxes, size in pictures:
         told = measurer.in_pixels(as_stored(file)[..., ::-1], Boxes(boxes, np.ones(len(boxes))))
         yield scene, file, boxes[told.kind[:, RARE].sum(1) >= least], size
 
 
 def draw_sheets(folder: Path, cells: Sequence[Cell]) -> None:
-    """Write the cells to sheets of ROWS x COLUMNS, and what `read_sheets` reads beside them."""
+    """Write the cells to sheets of ROWS x COLUMNS, and beside them the file that `read_sheets` reads."""
     write_cells(folder, cells, READING)
     join(folder, "sheet", {number: enlarged(cell, SHARE) for number, cell in enumerate(cells)}, COLUMNS, ROWS)
 
 
 def read_answers(file: Path, cells: int) -> dict[int, str]:
-    """{cell: one of ANSWERS, or "" for what could not be told} of a reader's file about sheets of so many `cells`.
+    """{cell: one of ANSWERS, or "" for a vehicle that could not be classified} from a reader's file on sheets with a
+    total of `cells`.
 
-    Raises ValueError for a sheet that has other rows than it should: answers would go to other vehicles.
+    Raises ValueError for a sheet with wrong rows: answers would be assigned to other vehicles.
     """
     told: dict[int, str] = {}
     for sheet, rows in json.loads(file.read_text()).items():
@@ -107,7 +108,7 @@ def read_answers(file: Path, cells: int) -> dict[int, str]:
 
 
 def agreed(readers: Sequence[dict[int, str]]) -> dict[int, str]:
-    """{cell: kind} of cells of which every reader who saw them says the same."""
+    """{cell: kind} of the cells on which all readers who saw them agree."""
     said: dict[int, set[str]] = {}
     for answers in readers:
         for cell, kind in answers.items():
@@ -159,7 +160,7 @@ def main() -> None:
 
 
 def agreement_table(readers: Sequence[dict[int, str]]) -> str:
-    """Markdown: how often one reader says what the columns say where another says what the rows say."""
+    """A Markdown table of counts: the kind by one reader (rows) against that by another (columns)."""
     names = (*KINDS, "none", "")
     count = np.zeros((len(names), len(names)), int)
     for i, one in enumerate(readers):

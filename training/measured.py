@@ -1,11 +1,11 @@
-"""Labelled vehicles as the measurer measures them, instead of as they were drawn.
+"""Replaces the drawn boxes of labelled vehicles by those of the measurer.
 
     python -m training.measured --labels ../shared/data/vehicles/labels.json --out runs/measured.json
     python -m training.train ... --measured runs/measured.json
 
-Drawn boxes have a margin of their own at every scene, and stray by some per cent from vehicle to vehicle; a detector
-that learns from them learns both. The measurer's edges stray by half a per cent from place to place
-([measurer](measurer/README.md)). What it takes for no vehicle, or for another one, stays as it was drawn.
+Drawn boxes have a different margin in every scene, and scatter by some per cent from vehicle to vehicle; a detector
+that learns from them learns both. The measurer's edges differ by half a per cent from place to place
+([measurer](measurer/README.md)). Boxes in which it sees no vehicle, or another one, stay as they were drawn.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from orthoscale.detect.remeasure import NONE
 
 from .data import LabelledImage, read_labels
 
-LOOKS = 2  # at each vehicle: drawn boxes are nearer than a detector's
-# A measured box is believed within this factor of the drawn one, and if its centre lies within this share of the length
-# (and its axis within as many radians).
+LOOKS = 2  # passes of the measurer: drawn boxes are closer to the vehicle than a detector's
+# A measured box is accepted if its size is within the factor NEAR of the drawn one's, its centre within the share ASIDE
+# of the length, and its axis within as many radians.
 NEAR = 1.2
 ASIDE = 0.15
 
 
 def measured(measurer: Measurer, image: LabelledImage) -> dict[int, list[float]]:
-    """Measured boxes [cx, cy, length, width, angle] by their index in `image.boxes`, of those that can be believed."""
+    """Measured boxes [cx, cy, length, width, angle] that are accepted, by their index in `image.boxes`."""
     index = np.flatnonzero(image.is_vehicle)
     if not len(index):
         return {}
     drawn = image.boxes[index]
     told = measurer.in_pixels(image.level(0), Boxes(drawn, np.ones(len(drawn))), LOOKS)
-    # Boxes have the order in which they were proposed; one that came out wider than long was turned by a quarter.
+    # Boxes keep the order in which they were proposed; one that came out wider than long was turned by a quarter.
     found = told.boxes.xylwa.copy()
     found[:, 2:4] -= measurer.card.ruler.margin
     factor = np.abs(np.log(found[:, 2:4] / drawn[:, 2:4])).max(1)
@@ -49,7 +49,7 @@ def measured(measurer: Measurer, image: LabelledImage) -> dict[int, list[float]]
 
 
 def with_measured(images: Sequence[LabelledImage], file: Path) -> list[LabelledImage]:
-    """The same images with the boxes that `file`, which this program wrote, has of them."""
+    """The same images with the measured boxes from `file`, which this program wrote."""
     kept = json.loads(file.read_text())["images"]
     out = []
     for image in images:

@@ -1,15 +1,15 @@
-"""Find vehicles that the labels lack, and what is taken for vehicles, for a person to judge.
+"""Find vehicles that the labels lack, and things that are taken for vehicles, for a person to judge.
 
     python -m training.missing --detector WEIGHTS.onnx --labels LABELS.json --out runs/missing
     python -m training.missing --detector WEIGHTS.onnx --labels ../shared/data/vehicles/chips --unsure \\
         --scenes buildings,harbor --out runs/negatives
     python -m training.propose keep runs/negatives --as chips --add
 
-A vehicle that is in a training image but not in its labels is learnt as background; what is none and is boxed all the
-same is what there is most to learn from. The previous detector proposes: boxes that it sees at two zooms and that
-overlap no label (``--unsure``: no vehicle; ignored ones are proposed again). Written are `proposals.json`, each box
-taken for background until a person says otherwise, and contact sheets of every proposal, numbered. `propose`
-tells how to write the judgement down and keeps it.
+A vehicle in a training image that its labels lack is learnt as background; and things that a detector wrongly takes
+for vehicles are those from which it can learn most. The previous detector makes the proposals: boxes that it sees at
+two zooms and that overlap no label (with ``--unsure``: no labelled vehicle, so ignored boxes are proposed again).
+Written are `proposals.json`, in which each box counts as background until a person says otherwise, and numbered contact
+sheets of all proposals. `propose` explains how to write the judgement down, and stores it.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from orthoscale.sources.picture_file import PictureFile
 from .data import BACKGROUND, LabelledImage, group_of, read_labels, split
 from .geometry import MAX_ENLARGEMENT
 
-LENGTH = 36.0  # a scene's vehicles as long as that in the first look [px]; the second is half an octave coarser
-SAME = 0.5  # overlap of two looks at one vehicle
-KNOWN = 0.15  # overlap with a label from which a box is that label's
+LENGTH = 36.0  # length of a scene's vehicles in the first look [px]; the second is half an octave coarser
+SAME = 0.5  # IoU from which boxes of two looks are of one vehicle
+KNOWN = 0.15  # IoU with a label from which a box is that label's
 CELL, COLUMNS, ROWS = 110, 14, 9  # of a contact sheet [px, cells]
 
 
 def proposals(image: LabelledImage, detector: Detector, length: float, known: np.ndarray) -> Boxes:
-    """Boxes seen at two zooms and not among the `known` ones (N, 5), geometric mean of both looks; pixels of the
-    image."""
+    """Boxes seen at two zooms that are not among the `known` ones (N, 5) [px of the image]; sizes are the geometric
+    mean of both looks."""
     picture = PictureFile(image.path.name, image.path, image.width, image.height)
     zoom = min(LENGTH / length, MAX_ENLARGEMENT)
     first, second = (sweep([picture], z, detector)[picture.name] for z in (zoom, zoom / np.sqrt(2)))
@@ -51,8 +51,8 @@ def proposals(image: LabelledImage, detector: Detector, length: float, known: np
 
 
 def cell(image: LabelledImage, box: np.ndarray, text: str) -> np.ndarray:
-    """The picture around one box, the box 60 px long, drawn; its darkest made black and its brightest white, for what
-    stands in the shade; RGB (CELL, CELL, 3)."""
+    """The picture around one box, which is drawn 60 px long; RGB (CELL, CELL, 3). Its contrast is stretched from black
+    to white, for vehicles in the shade."""
     scale = 60 / box[2]
     shift = CELL / 2 - scale * box[:2]
     x, y = shift + scale / 2 - 0.5  # OpenCV puts a pixel's centre at its integer index
@@ -69,7 +69,7 @@ def cell(image: LabelledImage, box: np.ndarray, text: str) -> np.ndarray:
 
 
 def write_sheets(cells: dict[str, list[np.ndarray]], out: Path) -> None:
-    """Contact sheets ``out/NAME_00.png`` and so on of the cells, RGB (CELL, CELL, 3), under each name."""
+    """Write contact sheets ``out/NAME_00.png`` and so on of the cells, RGB (CELL, CELL, 3), by name."""
     page = COLUMNS * ROWS
     for name, sheet in cells.items():
         for first in range(0, len(sheet), page):

@@ -1,6 +1,6 @@
 """Fully convolutional networks down to stride 16 or 32, and a feature pyramid back up to stride 4.
 
-`VehicleNet` is small and learns from nothing; `Finder` stands on layers that ImageNet taught.
+`VehicleNet` is small and starts from random weights; `Finder` has a backbone that was pretrained on ImageNet.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def stage(inputs: int, outputs: int, inner: int, blocks: int) -> nn.Sequential:
 
 
 class Pyramid(nn.Module):
-    """From features at stride 16 back up to stride 4, and to maps (n, 7, h/4, w/4) as `targets` describes them.
+    """Leads from features at stride 16 back up to stride 4, and to maps (n, 7, h/4, w/4) as `targets` describes them.
 
-    lateral8, lateral4 : bring the features at strides 8 and 4 to 32 channels.
+    lateral8, lateral4 : layers that bring the features at strides 8 and 4 to 32 channels.
     """
 
     def __init__(self, lateral8: nn.Module, lateral4: nn.Module) -> None:
@@ -52,7 +52,7 @@ class Pyramid(nn.Module):
         nn.init.constant_(self.maps.bias[:1], -4.6)  # a heat of 0.01 everywhere at the start
 
     def climb(self, x16: Tensor, s8: Tensor, s4: Tensor) -> Tensor:
-        """The maps of 64 channels at stride 16 and the features at strides 8 and 4."""
+        """The maps from 64 channels at stride 16 and the features at strides 8 and 4."""
         x = self.merge16(x16)
         x = self.merge8(self.lateral8(s8) + enlarge(self.reduce16(x)))
         x = self.merge4(self.lateral4(s4) + enlarge(x))
@@ -81,7 +81,7 @@ class VehicleNet(Pyramid):
 
 
 class Finder(Pyramid):
-    """The same maps from what ImageNet taught (`lite0`); h and w multiples of 16.
+    """Makes the same maps with a backbone pretrained on ImageNet (`lite0`); h and w multiples of 16.
 
     The features differ in size from stride to stride (standard deviations of 5 to 11), so each is normalised.
     """
@@ -109,9 +109,9 @@ def enlarge(x: Tensor) -> Tensor:
 
 
 def loss(maps: Tensor, heat: Tensor, background: Tensor, values: Tensor, value_weight: Tensor) -> dict[str, Tensor]:
-    """Penalty-reduced focal loss on the heat (Zhou et al. 2019, Objects as Points, eq. 1; alpha 2, beta 4) and weighted
-    L1 on the values; sizes count four times, because a ruler needs them most. Vehicles count by their weight in both.
-    Parts by name; their sum is the loss."""
+    """Parts of the loss by name; their sum is the loss. Penalty-reduced focal loss on the heat (Zhou et al. 2019,
+    Objects as Points, eq. 1; alpha 2, beta 4) and weighted L1 on the values; sizes count four times, because a ruler
+    needs them most. Vehicles count by their weight in both."""
     logits = maps[:, 0]
     p = torch.sigmoid(logits)
     peak = heat > 0.999

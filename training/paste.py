@@ -1,7 +1,7 @@
-"""Vehicles cut out of one image and put onto ground of another, where there are none.
+"""Cuts vehicles out of one image and pastes them onto ground of another that has none.
 
 Scenes without vehicles teach what is not a vehicle; with some pasted in they also teach that a vehicle on a lawn is
-one. A paste has a seam, and a seam must not give the vehicle away: as many patches of bare ground are pasted with it.
+one. A pasted patch has a seam, which must not give the vehicle away: so as many patches of bare ground are pasted, too.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from .geometry import LENGTH_RANGE, MAX_ENLARGEMENT, transform_boxes, warp
 from .targets import CROP
 
 MOST = 4  # patches on one crop
-RIM = 0.12  # of a vehicle's width that is cut out around it: its own contact shadow and ground
-ASIDE = 1.5  # lengths from a vehicle to the bare ground cut out beside it
+RIM = 0.12  # rim around a vehicle that is cut out with it, in widths: its contact shadow and some ground
+ASIDE = 1.5  # distance from a vehicle to the bare ground that is cut out beside it, in vehicle lengths
 
 
 def paste(
     pixels: np.ndarray, boxes: np.ndarray, donors: list[LabelledImage], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Crop (CROP, CROP, 3) uint8 and the boxes (N, 5) to keep clear of; returns the crop and the boxes added to it."""
+    """Paste vehicles of `donors` into the crop `pixels` (CROP, CROP, 3) uint8, clear of its `boxes` (N, 5); returns the
+    crop and the boxes (M, 5) added to it."""
     added: list[np.ndarray] = []
     occupied = [(*box[:2], box[2]) for box in boxes]
     for _ in range(rng.integers(1, MOST + 1)):

@@ -1,4 +1,4 @@
-r"""Boxes for pictures that nobody has labelled, for a person to judge.
+r"""Proposes boxes in unlabelled pictures, for a person to judge.
 
     python -m training.propose look --detector WEIGHTS.onnx --pictures ../shared/data/vehicles/chips --length 15 \\
         --but ../shared/data/places/truth.json --out runs/chips
@@ -6,15 +6,16 @@ r"""Boxes for pictures that nobody has labelled, for a person to judge.
         --truth ../shared/data/places/truth.json --out runs/places
     python -m training.propose keep runs/chips --as chips
 
-Each detector looks at every picture at four zooms and mirrored. A box that most looks show is proposed as a vehicle,
-one that few show as `ignore`: neither vehicle nor background. Sizes are medians over the looks. Written are
-``proposals.json`` and contact sheets of the proposals, numbered by scene (pictures whose names differ in digits only).
+Each detector looks at every picture at four zooms, plain and mirrored. A box that most looks show is proposed as a
+vehicle, one that few show as `ignore`: neither vehicle nor background. Sizes are medians over the looks. Written are
+``proposals.json`` and contact sheets of the proposals, numbered within each scene (pictures whose names differ only in
+digits).
 
-A person looks at the sheets and writes ``judged.txt`` beside them, a line for each change of mind: ``SCENE
-vehicle|ignore|background NUMBERS``, as in ``harbor background 0-17 20 23``, and vehicles that are lacking as
-``PICTURE add X Y LENGTH WIDTH ANGLE``. `keep` writes the outcome to ``labels/chips.json`` or ``labels/places.json``,
-which `data.read_labels` reads with the folder of that name. ``keep --add`` adds it to what is there, as the proposals
-of `missing` need: a box that the labels ignored, and that is judged now, is ignored no more.
+A person looks at the sheets and writes ``judged.txt`` beside them, with a line for each correction: ``SCENE
+vehicle|ignore|background NUMBERS``, as in ``harbor background 0-17 20 23``, and missing vehicles as ``PICTURE add X Y
+LENGTH WIDTH ANGLE``. `keep` writes the result to ``labels/chips.json`` or ``labels/places.json``, which
+`data.read_labels` reads with the folder of that name. ``keep --add`` adds it to the existing labels, as the proposals
+of `missing` need: a box that was ignored before and is judged now is no longer ignored.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ from orthoscale.detect.detector import Detector
 from .data import BACKGROUND, LABELS, LabelledImage, group_of
 from .missing import cell, write_sheets
 
-LENGTHS = (27.0, 33.0, 39.0, 47.0)  # of a usual vehicle in the looks [px]
-USUAL = 4.6  # that vehicle [m]
-SAME = 0.3  # overlap of looks at one vehicle
-PART = 256.0  # side of the chips that some of the places are put together from [px]
-LOWEST = 0.1  # score of a look that counts at all
-SURE, MOST = 0.4, 0.6  # such a share of the looks with that score makes a vehicle
+LENGTHS = (27.0, 33.0, 39.0, 47.0)  # of a usual vehicle in the four looks [px]
+USUAL = 4.6  # length of that vehicle [m]
+SAME = 0.3  # IoU from which boxes of different looks are of one vehicle
+PART = 256.0  # side of the chips that some of the pictures of places are assembled from [px]
+LOWEST = 0.1  # lowest score of a box that counts
+SURE, MOST = 0.4, 0.6  # a vehicle has a score of SURE in the share MOST of the looks
 KINDS = ("vehicle", "ignore", BACKGROUND)
-MARGIN = 0.2  # lengths; a vehicle whose middle is closer to the picture's edge is cut too much
+MARGIN = 0.2  # in vehicle lengths; a vehicle whose middle is closer to the picture's edge is cut too much
 
 
 def looks(pixels: np.ndarray, detector: Detector, length: float) -> list[Boxes]:
-    """Boxes of every look at a picture, RGB (h, w, 3), whose vehicles are about `length` px long; in its pixels."""
+    """Boxes [px of the picture] of every look at a picture, RGB (h, w, 3), with vehicles of about `length` px."""
     height, width = pixels.shape[:2]
     found = []
     for zoom in np.array(LENGTHS) / length:
@@ -58,8 +59,8 @@ def looks(pixels: np.ndarray, detector: Detector, length: float) -> list[Boxes]:
 
 
 def agreed(found: list[Boxes]) -> list[dict]:
-    """What the looks agree on, best first: median box, mean score over all looks (0 where a look shows nothing), and
-    the share of looks that are sure."""
+    """What the looks agree on, best first: median box, mean score over all looks (0 if a look shows nothing), and the
+    share of looks with a score of SURE."""
     every = Boxes.concatenate(found)
     look = np.repeat(np.arange(len(found)), [len(b) for b in found])
     i, j, _ = overlapping(every, every, SAME)
@@ -83,8 +84,8 @@ def agreed(found: list[Boxes]) -> list[dict]:
 
 
 def propose(pictures: dict[Path, tuple[float, float]], detectors: list[Detector], out: Path) -> None:
-    """Write proposals and sheets. pictures : files, how long vehicles are in each, and the side of the parts that it is
-    put together from [px] (inf: it is a whole)."""
+    """Write proposals and sheets. pictures : by file, the length of its vehicles, and the side of the parts that it is
+    assembled from (inf if it is a single one) [px]."""
     out.mkdir(parents=True, exist_ok=True)
     proposals: dict[str, list[dict]] = {}
     cells: dict[str, list[np.ndarray]] = {}
@@ -106,7 +107,7 @@ def propose(pictures: dict[Path, tuple[float, float]], detectors: list[Detector]
 
 
 def judged(proposals: dict[str, list[dict]], verdicts: str) -> dict[str, dict[str, list[list[float]]]]:
-    """Boxes by picture and kind, after what a person said of the proposals (see above)."""
+    """Boxes by picture and kind, after the corrections `verdicts` of a person (see above)."""
     by_group: dict[str, list[dict]] = {}
     for picture, found in proposals.items():
         by_group.setdefault(group_of(picture), []).extend(found)
@@ -126,7 +127,7 @@ def judged(proposals: dict[str, list[dict]], verdicts: str) -> dict[str, dict[st
 
 
 def added(before: dict[str, dict], kept: dict[str, dict]) -> dict[str, dict]:
-    """Labels by picture and kind with those `kept` added; what they judge is ignored no more."""
+    """Labels by picture and kind with those in `kept` added; boxes that these judge are no longer ignored."""
     together = {}
     for picture in dict.fromkeys([*before, *kept]):
         old, new = before.get(picture, {}), kept.get(picture, {})
@@ -142,7 +143,7 @@ def _boxes(rows: list[list[float]]) -> Boxes:
 
 
 def write_kept(kept: dict[str, dict], file: Path) -> None:
-    """Replace the images of a label file, one a line."""
+    """Replace the images of a label file; each is a line."""
     labels = json.loads(file.read_text()) | {"images": None}
     lines = ",\n".join(
         f"  {json.dumps(name)}: {json.dumps(kinds, separators=(',', ':'))}" for name, kinds in kept.items()

@@ -1,16 +1,16 @@
-"""Store a network in 8 bits, which a processor runs up to twice as fast, and which takes a third of the room.
+"""Store a network in 8 bits, which runs up to twice as fast on a CPU and takes a third of the space.
 
     python -m training.quantise training/weights/small_vehicle.onnx --labels ../shared/data/vehicles/labels.json \\
         --labels ../shared/data/vehicles/chips --out orthoscale/detect/weights/small_vehicle.onnx
 
-Every convolution but the last, whose outputs are the boxes, multiplies 8-bit integers: weights have a scale for each
-output channel, values one for each layer, from the least to the greatest that crops of the training show (`augment`).
-No test place takes part. Weights have 7 bits: two products of 8 bits overflow the 16 that processors without VNNI add
-them up in, and their results would differ from those of others. What outputs have lost on average where there are
-vehicles is added to them again (bias correction: Nagel et al. 2019, Data-free quantization, section 4.2).
+Every convolution but the last, whose outputs are the boxes, multiplies 8-bit integers. Weights have a scale for each
+output channel; activations have one for each layer, from the smallest to the largest value on training crops
+(`augment`). No test place is used. Weights have 7 bits: CPUs without VNNI add products in 16 bits, which two products
+of 8 bits overflow, so their results would differ from those of others. The mean loss of the outputs at vehicles is
+added to them again (bias correction: Nagel et al. 2019, Data-free quantization, section 4.2).
 `training.measurer.quantise` does the same to the measurer.
 
-Training goes on from the network in 32 bits, never from the one stored in 8.
+Training continues from the network in 32 bits, never from the one in 8.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ from .data import read_labels
 from .export import with_card
 from .train import SCENE_WEIGHTS
 
-COUNT = 600  # crops that are shown
-FOLLOW = ("Add", "Relu", "Clip", "Resize")  # operators that take integers from convolutions and pass them on
-VEHICLE = -1.0  # logit of the heat from which the outputs of a place count as those of a vehicle
+COUNT = 600  # crops used for calibration
+FOLLOW = ("Add", "Relu", "Clip", "Resize")  # operators that become integer ones where their inputs are
+VEHICLE = -1.0  # logit of the heat from which the outputs of a cell count as those of a vehicle
 
 
 def quantise(network: Path, shown: Sequence[np.ndarray], out: Path) -> None:
-    """Write the detector `network` (ONNX) to `out` in 8 bits, with its card. shown : inputs (3, h, w) uint8."""
+    """Write the detector `network` (ONNX) to `out` in 8 bits, with its card. shown :
+    calibration inputs (3, h, w) uint8."""
     import onnx
 
     with tempfile.TemporaryDirectory() as scratch:
@@ -48,9 +49,9 @@ def quantise(network: Path, shown: Sequence[np.ndarray], out: Path) -> None:
 
 
 def in_8_bits(network: Path, shown: Iterable[Mapping[str, np.ndarray]], out: Path, left: Callable[[str], bool]) -> None:
-    """Write the ONNX file `network` to `out`, its convolutions and what follows them alone in 8 bits; without its card.
+    """Write the ONNX file `network` to `out` with its convolutions and what follows them in 8 bits, without its card.
 
-    shown : inputs by name, whose values set the ranges. left : whether the convolution of this name stays in 32 bits.
+    shown : calibration inputs by name. left : whether the convolution of this name stays in 32 bits.
     """
     import onnx
     from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
@@ -95,8 +96,8 @@ def finish(network: Path, stored: Path, out: Path) -> None:
 
 
 def lost(network: Path, stored: Path, shown: Sequence[np.ndarray]) -> np.ndarray:
-    """By how much the outputs of `network` exceed those of `stored`, where the former sees vehicles in `shown`: the
-    mean of each channel (channels,)."""
+    """(channels,) mean by which the outputs of `network` exceed those of `stored` in each channel, at the vehicles that
+    the former sees in `shown`."""
     import onnxruntime
 
     before, after = (
@@ -110,7 +111,7 @@ def lost(network: Path, stored: Path, shown: Sequence[np.ndarray]) -> np.ndarray
 
 
 def _add_to_bias(file: Path, name: str, more: np.ndarray) -> None:
-    """Add `more` (channels,) to the bias called `name` of the network in `file`."""
+    """Add `more` (channels,) to the bias `name` of the network in `file`."""
     import onnx
 
     model = onnx.load(file)

@@ -1,12 +1,13 @@
-"""Begin a network of other widths with one that is trained already.
+"""Initialise a network of other widths from one that is already trained.
 
     python -m training.reshape --start runs/before/checkpoint.pt --out runs/reshaped/start.pt
     python -m training.train ... --start runs/reshaped/start.pt
 
-Where `VehicleNet` has fewer channels inside a residual block or the head than the checkpoint, those stay whose filters
-weigh most, in and out (filter pruning, Li et al. 2017, Pruning Filters for Efficient ConvNets): the network still does
-about what it did, and a short training makes good what was lost. Where it has more channels anywhere, the new ones
-begin at random and what reads them at zero: the network does exactly what it did, and training finds their use.
+If `VehicleNet` has fewer channels inside a residual block or the head than the checkpoint, the channels with the
+largest weights, in and out, stay (filter pruning, Li et al. 2017, Pruning Filters for Efficient ConvNets): the network
+still does about the same, and a short training recovers the loss. If it has more channels anywhere, the new ones start
+with random weights and the weights that read them with zero: the network does exactly the same, and training makes use
+of them.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ Tensors = dict[str, Tensor]
 
 
 def reshaped(given: Tensors, fresh: Tensors) -> Tensors:
-    """`given` with the sizes of `fresh`, the state of a network before any training; tensors by name. Raises ValueError
-    where a size is cut other than between a block's two convolutions, or between the head's and the maps'."""
+    """`given` with the sizes of `fresh`, the state of an untrained network; tensors by name. Raises ValueError if a
+    size is reduced anywhere but between a block's two convolutions, or between the head's and the maps'."""
     if given.keys() != fresh.keys():
         raise ValueError(f"other layers: {', '.join(sorted(given.keys() ^ fresh.keys())[:5])}")
     cut = dict(given)
@@ -44,12 +45,13 @@ def reshaped(given: Tensors, fresh: Tensors) -> Tensors:
 
 
 def _reader(name: str) -> str:
-    """The weights that read what the convolution `name` writes."""
+    """Name of the weights that read the output of the convolution `name`."""
     return "maps.weight" if name.startswith("head") else name.replace("first", "second")
 
 
 def _strongest(given: Tensors, conv: str, after: str, count: int) -> Tensor:
-    """The `count` channels, in order, with the largest sum of weights going in (as normalised) times going out."""
+    """Indices, in order, of the `count` channels with the largest product of summed input weights (normalised) and
+    summed output weights."""
     gain = given[f"{conv}.1.weight"].abs() / (given[f"{conv}.1.running_var"] + 1e-5).sqrt()
     into = given[f"{conv}.0.weight"].abs().sum((1, 2, 3)) * gain
     out = given[after].abs().sum((0, 2, 3))

@@ -1,17 +1,17 @@
-r"""How strongly a detector draws sizes to the usual: small vehicles too large, large ones too small.
+r"""The shrinkage of a detector: how strongly it draws small vehicles too large and large ones too small.
 
     python -m orthoscale.synthetic ortho runs/truth/jp.png --fleet JP --gsd 0.13 --vehicles 90 --style carpark --seed 1
     python -m training.shrink --detector orthoscale/detect/weights/small_vehicle.onnx runs/truth/*.png
 
-Rendered orthophotos with exact boxes, each with the ``.truth.json`` that `orthoscale.synthetic` writes beside it; of
-several fleets, small vehicles and large ones among them, and several pixel sizes. Each is swept as a user's is, with
-two looks, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures,
+It needs rendered orthophotos with exact boxes, each with the ``.truth.json`` that `orthoscale.synthetic` writes beside
+it; of several pixel sizes and several fleets, with small and large vehicles. Each is swept as a user's would be, with
+two passes, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures,
 
     log((box - margin) / vehicle) = shrink * (log usual - log vehicle)
 
-with the margin of the detector's card. Printed are shrink and usual for the card's ``ruler``; how far the pictures
-scatter about the shrink, which is the least that ``shrink_sd`` should be (real vehicles may be drawn otherwise); and
-the noise that is left of a box.
+with the margin of the detector's card. Printed are shrink and usual for the card's ``ruler``; the scatter of the
+shrink between pictures, a lower limit of ``shrink_sd`` (real vehicles may shrink differently); and the remaining noise
+of a box.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MIN_VEHICLES = 10
 class Shrink:
     """For length and width, (2,) each. value, sd : the shrink, and its scatter between pictures. usual [m].
 
-    noise : one sigma of what is left [detector px]. scenes : (S, 2) each picture's own shrink.
+    noise : one sigma of the residuals [detector px]. scenes : (S, 2) each picture's own shrink.
     """
 
     value: np.ndarray
@@ -47,8 +47,8 @@ class Shrink:
 
 
 def fit_shrink(known: Sequence[tuple[np.ndarray, np.ndarray, float]], margin: Sequence[float]) -> Shrink:
-    """From pictures of exact truth: per picture the vehicles (N, 2) [m], their boxes (N, 2) [detector px], and metres
-    per detector pixel. `margin` (2,) [detector px] is taken off the boxes."""
+    """Fit the shrink to pictures with exact truth. known : per picture the vehicles (N, 2) [m], their boxes (N, 2)
+    [detector px], and metres per detector pixel. margin : (2,) [detector px], which is taken off the boxes."""
     ratios = [np.log((box - np.asarray(margin)) * gsd / vehicle) for vehicle, box, gsd in known]
     sizes = [np.log(vehicle) for vehicle, _, _ in known]
     value, usual, noise = np.empty(2), np.empty(2), np.empty(2)
@@ -67,7 +67,7 @@ def fit_shrink(known: Sequence[tuple[np.ndarray, np.ndarray, float]], margin: Se
 def known_vehicles(
     path: Path, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """One picture for `fit_shrink`, with its ``.truth.json``. Raises ValueError where too few vehicles are found."""
+    """One picture for `fit_shrink`, with its ``.truth.json``. Raises ValueError if too few vehicles are found."""
     truth = json.loads(path.with_suffix(".truth.json").read_text())
     rows = [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in truth["boxes"] if b["visible"] > WHOLE]
     exact = Boxes(np.array(rows), np.ones(len(rows)))

@@ -1,4 +1,4 @@
-"""What the network is asked to say about a crop: boxes written onto a grid of stride 4.
+"""The training targets of a crop: boxes encoded on a grid of stride 4.
 
 Seven maps: heat (a peak at each vehicle's centre), the centre's offset within its cell (x, y, in cells), the logarithm
 of length/32 px and width/14 px, and the cosine and sine of twice the angle (a box turned by half a turn is the same).
@@ -14,15 +14,15 @@ CROP = 256  # side of a training crop [px]
 STRIDE = 4  # pixels per cell
 LENGTH_UNIT, WIDTH_UNIT = 32.0, 14.0  # [px] typical vehicle, so that the logarithms start near zero
 MIN_LENGTH = 10.0  # [px] shorter vehicles are neither learnt nor background
-EDGE = 4.0  # [px] a vehicle whose centre is closer to the border is cut too much to be learnt
+EDGE = 4.0  # [px] a vehicle whose centre is closer to the crop's edge is cut too much to be learnt
 
 
 def encode(boxes: np.ndarray, is_vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Boxes (N, 5) to (heat, weight of the background, values (6, n, n), weight of the vehicles), float32 (n, n).
 
-    A vehicle weighs as the ground that it covers. Where each weighs the same, most of what is learnt is from crops that
-    show many small ones (three in four were below 27 px), and a network that is not sure of a size says theirs: new to
-    a place, it drew vehicles of 17 px right and those of 38 px, at which it is used, 8 to 20 % too short.
+    A vehicle's weight is proportional to its area. With equal weights, most is learnt from crops that show many small
+    vehicles (three in four were below 27 px), and if the network is not sure of a size it gives theirs: at new places
+    it measured vehicles of 17 px right, and those of 38 px, at which it is used, 8 to 20 % too short.
     """
     n = CROP // STRIDE
     heat = np.zeros((n, n), np.float32)
@@ -54,7 +54,7 @@ def encode(boxes: np.ndarray, is_vehicle: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _splat(heat: np.ndarray, ix: int, iy: int, length: float, width: float, angle: float) -> None:
-    """Add a Gaussian peak along the box (all in cells), keeping the larger value where peaks meet."""
+    """Draw a Gaussian peak along the box (all in cells); where peaks overlap, the larger value stays."""
     sigma_long, sigma_short = max(0.13 * length, 0.55), max(0.16 * width, 0.5)
     reach = int(3 * sigma_long + 2)
     n = len(heat)

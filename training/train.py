@@ -1,13 +1,13 @@
-"""Train the detector; stop and start it again as you like.
+"""Train the detector. A training can be stopped and resumed at any time.
 
     python -m training.train --labels ../shared/data/vehicles/labels.json --run runs/v1 --hold-out ohio
-    python -m training.train ... --network lite0 --run runs/finder      # on layers that ImageNet taught
+    python -m training.train ... --network lite0 --run runs/finder      # on a backbone pretrained on ImageNet
     python -m training.train ... --network small lite0 --run runs/both  # both from the same crops, on a GPU
-    python -m training.train ... --run runs/v1 --resume                 # go on where the checkpoint stands
+    python -m training.train ... --run runs/v1 --resume                 # continue from the checkpoint
 
-The learning rate follows the share of `--steps` or `--minutes` done (warm-up, then a half cosine), so a run of so many
-steps that is interrupted and resumed ends where an uninterrupted one would. The shipped weights are the exponential
-moving average.
+The learning rate depends on the share of `--steps` or `--minutes` that is done (warm-up, then a half cosine), so a run
+with `--steps` that is interrupted and resumed ends where an uninterrupted one would. The shipped weights are the
+exponential moving average.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .measured import with_measured
 from .network import NETWORKS, Finder, loss
 from .unfold import unfolded
 
-# Share of the crops by scene: many small images of one car park count less, vehicle-free ground counts.
+# Relative share of the crops by scene: many small images of one car park count less; vehicle-free ground counts, too.
 SCENE_WEIGHTS = {
     "munich": 0.18, "minsk": 0.16, "bogota": 0.18, "warsaw": 0.3, "ohio": 0.08,
     "park": 0.14, "dunes": 0.06, "synthetic": 0.5, "lookalikes": 0.4,
@@ -43,8 +43,8 @@ PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps
 CHECKPOINT = "checkpoint.pt"
 CHECKPOINT_EVERY = 250  # steps
-LOOKED_AT = 10  # steps between two whose loss is looked at: a GPU has to wait for each
-COARSEST = 3  # half-size level of a picture that crops are taken from
+LOOKED_AT = 10  # steps between two whose loss is read: a GPU has to wait for each
+COARSEST = 3  # coarsest half-size level of a picture that crops are taken from
 
 
 class Crops(IterableDataset):
@@ -58,7 +58,7 @@ class Crops(IterableDataset):
 
 @torch.no_grad()
 def follow(average: dict[str, torch.Tensor], network: torch.nn.Module, keep: float) -> None:
-    """Move the exponential moving `average` of weights towards those of `network`; `keep` is the share that stays."""
+    """Move the exponential moving `average` of weights towards those of `network`; `keep` is its decay factor."""
     state = network.state_dict()
     learnt = [name for name, value in state.items() if value.dtype.is_floating_point]
     get_ema_multi_avg_fn(keep)([average[name] for name in learnt], [state[name] for name in learnt], None)
@@ -67,7 +67,7 @@ def follow(average: dict[str, torch.Tensor], network: torch.nn.Module, keep: flo
 
 
 def learning_rate(step: int, done: float, peak: float = PEAK_RATE) -> float:
-    """At `step`, when the share `done` of the training is."""
+    """The learning rate at `step`, when the share `done` of the training is done."""
     return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * done)) + 0.01)
 
 
@@ -130,10 +130,10 @@ class State:
 
     @classmethod
     def begun(cls, kind: str, start: Path | None, options: argparse.Namespace, training: list, device: str) -> State:
-        """At step 0 with new, pretrained or given weights, or where the run's checkpoint ended.
+        """A state at step 0 with new, pretrained or given weights, or the one in the run's checkpoint.
 
-        start : whose weights are taken, if any.
-        training : images of which a batch passes through a network that is read from ONNX (see `unfold`).
+        start : checkpoint or ONNX file with the weights to start from, if any.
+        training : images; a batch of their crops gives the statistics of a network that is read from ONNX (`unfold`).
         """
         network = NETWORKS[kind]()
         if isinstance(network, Finder) and not (start or options.resume):
@@ -163,14 +163,14 @@ class State:
         self.average = copied(average)
 
     def resume(self, device: str) -> None:
-        """Go on from the run's checkpoint."""
+        """Continue from the run's checkpoint."""
         kept = torch.load(self.run / CHECKPOINT, map_location=device)
         self.network.load_state_dict(kept["network"])
         self.optimiser.load_state_dict(kept["optimiser"])
         self.average, self.step = kept["average"], kept["step"]
 
     def save(self) -> None:
-        """Write the checkpoint, whole or not at all."""
+        """Write the checkpoint, completely or not at all."""
         kept = {
             "kind": self.kind, "step": self.step, "network": self.network.state_dict(), "average": self.average,
             "optimiser": self.optimiser.state_dict(),
@@ -182,7 +182,7 @@ class State:
     def learn(
         self, image: torch.Tensor, targets: list[torch.Tensor], rate: float, device: str
     ) -> dict[str, torch.Tensor]:
-        """One step at the learning rate `rate`; the parts of the loss."""
+        """Make one step at the learning rate `rate`; returns the parts of the loss."""
         for group in self.optimiser.param_groups:
             group["lr"] = group["share"] * rate
         with in_16_bits(device):
@@ -198,8 +198,8 @@ class State:
 
 
 def in_16_bits(device: str) -> torch.autocast:
-    """Within it numbers have 16 bits where that does no harm: 1.4 to 1.7 times as fast on a core with AVX-512 BF16. A
-    core without it would be ten times as slow, and keeps 32."""
+    """A context with 16-bit numbers where that does no harm: 1.4 to 1.7 times as fast on a core with AVX-512 BF16. A
+    core without that would be ten times as slow, and uses 32 bits."""
     fast = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     return torch.autocast(device, torch.bfloat16, enabled=fast)
 
@@ -209,13 +209,13 @@ def copied(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 
 def as_input(image: torch.Tensor, device: str) -> torch.Tensor:
-    """RGB (n, 3, h, w) uint8 as networks take it, 0..1, on `device`."""
+    """RGB (n, 3, h, w) uint8 as input of the networks, 0..1, on `device`."""
     image = image.to(device, non_blocking=True, memory_format=torch.channels_last)
     return image.float() / 255
 
 
 def decoded(images: list[LabelledImage], threads: int) -> None:
-    """Decode all pictures now, so that the processes that crop them share what they see."""
+    """Decode all pictures now, so that the processes that crop them share their pixels."""
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(lambda image: image.level(COARSEST), images))
 

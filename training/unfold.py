@@ -1,7 +1,7 @@
-"""Take an exported network apart again, so that training can go on from an ONNX file where no checkpoint is left.
+"""Restores a trainable network from an exported ONNX file, so that training can continue without a checkpoint.
 
-Export folds each batch normalisation into its convolution. Here it comes out again, with the means and variances that
-the convolutions' outputs have on crops: the network does exactly what the file does, and can be trained.
+Export folds each batch normalisation into its convolution. Here they are separated again, with the means and variances
+of the convolutions' outputs on crops: the network does exactly what the file does, and can be trained.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ Layer = nn.Conv2d | nn.Conv1d | nn.Linear
 
 
 def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Tensor]:
-    """State in which `network` does what `onnx_file` does, which was exported from such a network.
+    """The state in which `network` does what `onnx_file` does, which was exported from such a network.
 
     network : of `training.network` or `training.measurer.network`; it is changed here.
 
-    crops : (n, 3, h, w) RGB as trained with; one batch is enough, since training soon has its own statistics.
-    Raises ValueError where the file is of a network with other layers, or one stored in 8 bits (`quantise`).
+    crops : (n, 3, h, w) RGB as in training; one batch is enough, since training soon has its own statistics.
+    Raises ValueError if the file is of a network with other layers, or one stored in 8 bits (`quantise`).
     """
     network.eval()
     layers = list(_by_use(network, crops[:1]).items())
@@ -33,7 +33,7 @@ def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Te
             layer.weight.copy_(weight)
             if norm is None:
                 layer.bias.copy_(bias)
-            else:  # statistics as they are at first, 0 and 1
+            else:  # for the initial statistics, 0 and 1
                 norm.weight.fill_((1 + norm.eps) ** 0.5)
                 norm.bias.copy_(bias)
         for norm, outputs in _inputs(network, [norm for _, norm in layers if norm], crops).items():
@@ -76,7 +76,7 @@ def _by_use(network: nn.Module, image: Tensor) -> dict[Layer, nn.BatchNorm2d | N
 
 
 def _inputs(network: nn.Module, modules: list[nn.Module], crops: Tensor) -> dict[nn.Module, Tensor]:
-    """What each of `modules` is given when the network looks at `crops`."""
+    """The input of each of `modules` when the network processes `crops`."""
     given: dict[nn.Module, Tensor] = {}
     hooks = [m.register_forward_pre_hook(lambda module, inputs: given.update({module: inputs[0]})) for m in modules]
     network(crops)

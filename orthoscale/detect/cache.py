@@ -1,4 +1,4 @@
-"""Cache of the detections in tiles: an interrupted sweep continues, a repeated one needs no detection."""
+"""Cache of the detections in tiles: an interrupted sweep continues where it was, a repeated one needs no detection."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
 BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLite's message may quote its bytes
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
-RASTER_CODE = ("sources/gdal.py", "sources/raster*.py")  # that decides over the pixels of a raster
-# What decides over the looks.
+RASTER_CODE = ("sources/gdal.py", "sources/raster*.py")  # on which the pixels of a raster depend
+# Files on which the detections in a tile depend.
 CODE = ("core/boxes.py", "detect/*.py", *RASTER_CODE, "sources/picture_file.py", "sources/ground_picture.py")
-# What does not.
+# Files among these on which they do not depend.
 NO_MATTER = {
     "cache.py",
     "cover.py",
@@ -42,7 +42,7 @@ NO_MATTER = {
 
 
 def cache_folder() -> Path:
-    """Where caches lie: ``ORTHOSCALE_CACHE``, or the user's cache folder."""
+    """The folder of the caches: ``ORTHOSCALE_CACHE``, or the user's cache folder."""
     if told := os.environ.get("ORTHOSCALE_CACHE"):
         return Path(told)
     from platformdirs import user_cache_path
@@ -51,8 +51,8 @@ def cache_folder() -> Path:
 
 
 def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> str | None:
-    """SHA-256 over the pictures' content and all that decides over the boxes found in them; None when a picture cannot
-    say what its content is."""
+    """SHA-256 over the pictures' content and all else that the boxes found in them depend on; None if a picture has no
+    fingerprint of its content."""
     detectors = [detector, detector.confirming] if detector.confirming else [detector]
     settings = {
         "detector": [[each.sha256, repr(each.card), repr(each.layout)] for each in detectors],
@@ -65,7 +65,7 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
 
 def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any], code: tuple[str, ...] = CODE) -> str | None:
     """SHA-256 over the pictures' content, `settings` as JSON, and the files of the package that match the patterns
-    `code`; None when a picture cannot say what its content is."""
+    `code`; None if a picture has no fingerprint of its content."""
     prints = [getattr(picture, "fingerprint", None) for picture in pictures]
     if None in prints:
         return None
@@ -85,10 +85,10 @@ def _code_hash(code: tuple[str, ...]) -> str:
 
 
 class Kept:
-    """Looks at parts of one input with one choice of settings, in an SQLite file that survives a kill at any time.
+    """Results of looks at one input with one choice of settings, in an SQLite file that survives a kill at any time.
 
-    Each look has a name and carries a checksum: what is damaged is looked at again. A file that SQLite cannot read is
-    begun anew; where none can be written, nothing is kept, and the sweep does not suffer.
+    Each result has a name and a checksum; a damaged one is computed again. A file that SQLite cannot read is replaced
+    by a new one. If none can be written, nothing is stored, and the sweep goes on without it.
     """
 
     def __init__(self, key: str, folder: Path | None = None):
@@ -112,7 +112,7 @@ class Kept:
         self._close()
 
     def content(self, name: str) -> bytes | None:
-        """What was kept under `name`, or None: nothing, or the entry is damaged. Raises nothing."""
+        """What was stored under `name`; None if nothing was, or if the entry is damaged. Raises nothing."""
         if self._file is None:
             return None
         try:
@@ -125,14 +125,14 @@ class Kept:
         return row[0]
 
     def keep(self, name: str, content: bytes) -> None:
-        """Keep `content` under `name`. Raises nothing: what cannot be written is looked at again next time."""
+        """Store `content` under `name`. Raises nothing: what cannot be written is computed again next time."""
         if self._file is None:
             return
         try:
             with self._file:
                 row = (name, content, _checksum(name, content))
                 self._file.execute("INSERT OR REPLACE INTO looks VALUES (?, ?, ?)", row)
-        except BROKEN:  # a full disk: what cannot be kept is looked at again another time
+        except BROKEN:  # such as a full disk
             self._close()
 
     def _begin_anew(self) -> None:
@@ -152,27 +152,28 @@ class Kept:
 
 
 class TileCache(Kept):
-    """The looks at tiles."""
+    """The detections in tiles."""
 
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
-        """What was seen of `tile` before, or None. Raises nothing."""
+        """What was detected in `tile` before, or None. Raises nothing."""
         content = self.content(tile_name(picture, tile))
         return None if content is None else _looks(content)
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
-        """Keep what was seen of `tile`. Raises nothing."""
+        """Store what was detected in `tile`. Raises nothing."""
         self.keep(tile_name(picture, tile), _content(looks))
 
 
 def _open(path: Path) -> sqlite3.Connection:
     file = sqlite3.connect(path, timeout=30)
     try:
-        # A write-ahead log makes a commit per tile cheap; after a crash the last ones may be missing, never half there.
+        # A write-ahead log makes a commit per tile cheap; after a crash the last tiles may be missing, but none is half
+        # stored.
         file.execute("PRAGMA journal_mode = WAL")
         file.execute("PRAGMA synchronous = NORMAL")
         columns = "tile TEXT PRIMARY KEY, content BLOB NOT NULL, checksum BLOB NOT NULL"
         file.execute(f"CREATE TABLE IF NOT EXISTS looks ({columns})")
-        with suppress(PermissionError):  # another user's, whose looks can be read
+        with suppress(PermissionError):  # another user's file, which can still be read
             os.utime(path)
     except BaseException:
         file.close()
@@ -182,28 +183,28 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _forget_old(folder: Path) -> None:
     for path in folder.glob("*.sqlite"):
-        with suppress(OSError):  # another user's, or gone meanwhile
+        with suppress(OSError):  # another user's file, or one that is gone meanwhile
             if time.time() - path.stat().st_mtime > KEPT_SECONDS:
                 path.unlink()
 
 
 def tile_name(picture: Picture, tile: Tile) -> str:
-    """What a look at `tile` is kept under."""
+    """The key under which a look at `tile` is stored."""
     return f"{as_text(picture)}:{tile.x},{tile.y},{tile.width},{tile.height}"
 
 
 def as_text(picture: Picture) -> str:
-    """A picture's name as SQLite can have it: file names need not be UTF-8."""
+    """A picture's name in a form that SQLite can store: file names need not be UTF-8."""
     return in_utf8(picture.name)
 
 
 def _checksum(name: str, content: bytes) -> bytes:
-    """Of one look and the tile that it belongs to."""
+    """Checksum over the content and the name that it belongs to."""
     return hashlib.blake2b(content, digest_size=16, key=hashlib.sha256(name.encode()).digest()).digest()
 
 
 def _content(looks: Looks) -> bytes:
-    """One line of JSON that says whose boxes follow, and how many, then six numbers a box."""
+    """Serialised: one line of JSON, (kind, fine boxes, coarse boxes) for each kind, then six numbers per box."""
     parts = [("", looks.fine, looks.coarse), *((kind, *pair) for kind, pair in looks.objects.items())]
     head = json.dumps([(kind, len(fine), len(coarse)) for kind, fine, coarse in parts])
     rows = [np.column_stack([boxes.xylwa, boxes.score]) for _, *pair in parts for boxes in pair]

@@ -1,4 +1,4 @@
-"""The coarse pass over a large picture: which tiles may contain vehicles, at little cost."""
+"""The coarse pass over a large picture: finds at little cost which tiles may contain vehicles."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .detector import Detector
 from .tiles import look
 
 FAR = 0.25  # resampling factor as a share of the sweep's: a sixteenth of its pixels
-FAR_SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar
+FAR_SCORE = 0.5  # least confidence of a box there; empty ground seldom reaches it at so low a resolution
 MANY_TILES = 64  # tiles from which a coarse pass pays
 FAR_TILES = 64  # tiles in its sample; half a second on two cores
-UNPROMISING = 0.125  # weight of tiles that showed nothing, against those that did; never 0, for the pass errs
+UNPROMISING = 0.125  # weight of tiles that showed nothing, or were not sampled; not 0, since the pass makes mistakes
 
 
 def coarse_pass(
@@ -30,8 +30,8 @@ def coarse_pass(
     """(N,) weights for the order in which to visit the tiles `jobs`, from a look at a quarter of the resampling factor
     at the first ones in `order`.
 
-    All tiles that show vehicles weigh the same, however many: every vehicle in them has the same chance to be seen, be
-    it in a car park or in front of a lonely house.
+    All tiles that show vehicles weigh the same, however many they show: so each vehicle has the same chance to be
+    seen, be it in a car park or in front of a lonely house.
     """
     if len(jobs) < MANY_TILES:
         return np.ones(len(jobs))

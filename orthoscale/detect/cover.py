@@ -17,36 +17,36 @@ from scipy import sparse
 from ..core.projection.view import LOWEST_ELEVATION
 from ..core.source import NEAR_NADIR, PosedSet
 
-# Frames, below which all are looked at: it takes seconds, and so few frames show few vehicles, each of which counts.
+# With fewer frames than this, all are processed: it takes seconds, and so few frames show few vehicles, so each counts.
 FEW_FRAMES = 64
-# Views of a place, steep ones and flat ones each by themselves, from which more are not needed. On the 172 frames of
-# `sheffield` the scale of the frames alone is then 0.7 % from that of all of them, the pooled one 0.1 %, where their
-# sampling parts are 1.4 and 2.0 %; with 8 views 1.6 and 0.3 %, with 4 views 2.4 and 0.3 %. A sweep that ends
+# Views of a place that are enough, counted separately for steep and for flat ones. On the 172 frames of `sheffield` the
+# scale from the frames alone then differs by 0.7 % from that of all frames, and the pooled scale by 0.1 %; their
+# sampling parts are 1.4 and 2.0 %. With 8 views it is 1.6 and 0.3 %, with 4 views 2.4 and 0.3 %. A sweep that ended
 # sooner, at a sampling part of 2 % over three times that ground, was up to 13 % off: self-calibration needs the views.
 ENOUGH_VIEWS = 12
-PLACE_SIDE = 0.25  # side of a place, in camera heights: large enough to be hit by ASKED_AT of each frame that shows it
-ASKED_AT = (24, 18)  # points across and down, at which a frame is asked what it sees
+PLACE_SIDE = 0.25  # side of a place, in camera heights: large enough that each frame that shows it has a point in it
+ASKED_AT = (24, 18)  # points of a frame, across and down, that are projected to find out which places it shows
 
 
 @dataclass(frozen=True)
 class Cover:
     """order : (P,) numbers of the pictures. enough : how many of them, from the first, show every place ENOUGH_VIEWS
-    times, or as often as all of them do."""
+    times, or as often as all pictures together do."""
 
     order: np.ndarray
     enough: int
 
     def first(self, count: int) -> list[int]:
-        """The first `count` of them, in the order of their numbers."""
+        """The first `count` pictures of the order, sorted by their numbers."""
         return sorted(self.order[:count].tolist())
 
 
 def covering(places: Sequence[np.ndarray], views: int = ENOUGH_VIEWS) -> Cover:
-    """The order of pictures that see `places`, (K, 3) each as in `places_seen`, until all were seen `views` times.
+    """An order of pictures that soon shows every place `views` times.
 
-    Greedy: the next is the picture whose places are worth most, where a place's n-th view is worth 1 / n^2, about what
-    it takes off the variance of a mean. A greedy cover's value is at least 1 - 1/e of the best one's (Nemhauser, Wolsey
-    and Fisher 1978).
+    places : of each picture (K, 3), as in `places_seen`. Greedy: the next picture is that whose places are worth most,
+    where a place's n-th view is worth 1 / n^2, about what it takes off the variance of a mean. A greedy cover's value
+    is at least 1 - 1/e of the best one's (Nemhauser, Wolsey and Fisher 1978).
     """
     count = len(places)
     rows = np.repeat(np.arange(count), [len(each) for each in places])
@@ -65,8 +65,8 @@ def covering(places: Sequence[np.ndarray], views: int = ENOUGH_VIEWS) -> Cover:
 
 
 def places_seen(source: PosedSet, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """By the names of frames (K, 3) the places that each sees: column and row on the ground's plane, and whether (1) or
-    not (0) from near the nadir. A place that is seen both ways is two of them."""
+    """By frame name the places (K, 3) that each frame sees: column and row on the ground's plane, and 1 if seen from
+    near the nadir, else 0. A place that is seen both ways counts as two."""
     centres = np.array([source.centre(name) for name in names])
     side = PLACE_SIDE * float(np.median(source.ground.height_above(centres)))
     middle = source.ground.plane(centres).mean(0)  # not the origin, which may lie anywhere: it would choose the frames
@@ -81,5 +81,5 @@ def places_seen(source: PosedSet, names: Sequence[str]) -> dict[str, np.ndarray]
 
 
 def seen_from_above(places: np.ndarray) -> np.ndarray:
-    """Those of `places` (K, 3) that a frame sees from near the nadir, as its picture of the ground shows them."""
+    """Those of `places` (K, 3) that a frame sees from near the nadir: what its ground picture shows."""
     return places[places[:, 2] == 1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.boxes import Boxes
 
-# How `training/targets.py` writes boxes; see there.
+# The encoding of boxes in the network's maps; `training/targets.py` writes it.
 MAP_STRIDE = 4
 LENGTH_UNIT, WIDTH_UNIT = 32.0, 14.0
 
@@ -38,7 +38,7 @@ def decode_ultralytics(output: np.ndarray, vehicles: Sequence[int], threshold: f
     """Boxes [px of the network's input] from an Ultralytics OBB head, (4 + classes + 1, n).
 
     Rows: centre x, y, width, height [px], one confidence per class, angle [rad] of the width from +x, clockwise on
-    screen. An anchor counts as the class in which it is most confident; those of other classes than `vehicles` go.
+    screen. An anchor counts as its most confident class; anchors of other classes than `vehicles` are dropped.
     """
     best = output[4:-1].argmax(0)
     score = np.take_along_axis(output[4:-1], best[None], 0)[0]
@@ -47,8 +47,8 @@ def decode_ultralytics(output: np.ndarray, vehicles: Sequence[int], threshold: f
 
 
 def decode_ultralytics_nms_free(output: np.ndarray, vehicles: Sequence[int], threshold: float) -> Boxes:
-    """Boxes [px of the network's input] from an Ultralytics head without non-maximum suppression of ours to follow,
-    (n, 7): centre x, y, width, height [px], confidence, class, angle [rad]; unused rows have confidence 0."""
+    """Boxes [px of the network's input] from an Ultralytics head whose output needs no non-maximum suppression, (n, 7):
+    centre x, y, width, height [px], confidence, class, angle [rad]; unused rows have confidence 0."""
     keep = np.isin(np.rint(output[:, 5]), vehicles) & (output[:, 4] > threshold)
     return _plausible(output[keep][:, [0, 1, 2, 3, 6]], output[keep, 4])
 

@@ -1,4 +1,4 @@
-"""A detector: an ONNX network, the shipped one or a user's, and its card, which relates its boxes to vehicles."""
+"""A detector: an ONNX network (the shipped one or a user's) and its card, which relates its boxes to vehicles."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from .foreign import IMAGE_ALONE, NO_NETWORK, ForeignError, Said, Worker
 from .output_forms import NetworkForm, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
-FINDER = "finder.onnx"  # finds better than it, and measures worse
+FINDER = "finder.onnx"  # finds vehicles better than SHIPPED, and measures them worse
 # A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
 OPERATORS = "ORTHOSCALE_ONNX_OPS"
 OVERLAP = 128  # shared by neighbouring tiles or windows [px of the input]; more than the longest usable vehicle
 VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
-IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
-# Boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds.
+IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of input images
+# Boxes of one kind in one image, before non-maximum suppression; real pictures have some hundreds.
 MOST_BOXES = 10_000
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
-CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
+CUT_OBJECT = 8.0  # the same for standard objects: they are larger, and so are the errors of their boxes [px]
 
 
 class Passes(StrEnum):
-    """How the two passes over a picture are taken. What the first one alone sees is `doubtful`; the second may look
-    only where the first saw anything.
+    """Which network makes the two passes over a picture, and in which order. What only the first pass sees is
+    `doubtful`; the second may look only where the first saw anything.
 
-    CONFIRMED : the fine one by the detector, the coarse one by the shipped FINDER, which confirms and does not measure.
-    FINE_FIRST : both by the detector. COARSE_FIRST : both by it, the one at half the cost first. A coarse pass makes
-    half as many mistakes, so this is for many frames, where no share of confirmed boxes is judged by.
-    TWICE_CONFIRMED : both by the detector, the fine one first, and the FINDER must see what they show, too. For single
-    photos and orthophotos whose vehicles are not measured once more: the detector's own boxes count there, and neither
-    other views nor the measurer tell vehicles from glints and roofs.
+    CONFIRMED : fine pass by the detector, coarse pass by the shipped FINDER, which confirms and does not measure.
+    FINE_FIRST : both by the detector. COARSE_FIRST : both by the detector, the coarse one, at half the cost, first. A
+    coarse pass makes half as many mistakes, so this is for many frames, where the share of confirmed boxes is not used.
+    TWICE_CONFIRMED : both by the detector, the fine one first, and the FINDER must also see what they show. For single
+    photos and orthophotos without the measurer: the detector's own boxes count there, and neither other views nor the
+    measurer distinguish vehicles from glints and roofs.
     """
 
     CONFIRMED = "confirmed"
@@ -60,16 +60,16 @@ class Passes(StrEnum):
 
 @dataclass(frozen=True)
 class Card:
-    """What a detector says of itself, kept in the ONNX file's metadata under ``orthoscale``.
+    """A detector's description, stored in the ONNX file's metadata under ``orthoscale``.
 
     usable_length : (low, high) vehicle lengths that it finds well [px of its input].
-    best_length : the length at which it does best; the zoom search aims there [px].
-    score : the confidence above which a box counts in one look.
-    sure : the mean confidence of two passes above which a vehicle counts; 0 where it is enough that both show it.
+    best_length : the length at which it does best; the scale search aims for it [px of its input].
+    score : the confidence above which a box counts in one pass.
+    sure : the mean confidence of two passes above which a vehicle counts; 0 if it is enough that both show it.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
-    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
+    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 if unknown.
     stride : height and width of its input must be multiples of this [px].
-    body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.
+    body : the shape of the vehicles that it finds, one of `core.projection.exact.BODIES`.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Card:
 
     @classmethod
     def from_json(cls, text: str, origin: str = "the card") -> Card:
-        """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
+        """Parse the text in a file's metadata; messages call it `origin`. Raises InputError if it is not a card."""
         from msgspec import UNSET
 
         from ..formats.schemas.networks import CardEntry
@@ -106,21 +106,20 @@ class Card:
 
     @classmethod
     def unknown(cls, name: str) -> Card:
-        """Of a detector that says nothing of itself: a ruler that nobody has measured, and the sizes at which
-        detectors trained on DOTA do well; `orthoscale calibrate` measures the ruler. The score is that of
-        arXiv 2603.07535."""
+        """For a detector without a card: a ruler that nobody has measured, and the sizes at which detectors trained on
+        DOTA do well. `orthoscale calibrate` measures the ruler. The score is that of arXiv 2603.07535."""
         return cls(name, (12.0, 90.0), 38.0, 0.5, UNKNOWN_HEIGHT, UNKNOWN_RULER)
 
 
 class Detector:
     """Finds small vehicles in an RGB image. Holds one network; safe to call from several threads.
 
-    The shipped network runs in this process. Any other runs in one of its own, with limits on memory and time, and
-    looks at one image at a time (`foreign.Worker`).
+    The shipped network runs in this process. Any other runs in a process of its own, with limits on memory and time,
+    and processes one image at a time (`foreign.Worker`).
 
     settings : (path, decoder, vehicle_classes, passes) with which another process makes the same detector.
     confirming : the shipped FINDER, if `passes` are CONFIRMED or TWICE_CONFIRMED; else None.
-    notes : what its user should know of what it found.
+    notes : remarks for the user on what it found.
     """
 
     def __init__(
@@ -132,13 +131,13 @@ class Detector:
         passes: Passes = Passes.FINE_FIRST,
         shipped: str = SHIPPED,
     ):
-        """Load a network once.
+        """Load a network.
 
-        path : an ONNX file; None: the shipped weights, those called `shipped`.
-        decoder : the form of its outputs (`detect.output_forms.DECODERS`), where it is not to be recognised.
-        vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+        path : an ONNX file; None for the shipped weights named `shipped`.
+        decoder : the form of its outputs (`detect.output_forms.DECODERS`); None to recognise it.
+        vehicle_classes : names or numbers of the classes that count, instead of those that are called small vehicles.
         threads : work on one image together; 0 for as many as there are cores.
-        passes : how a sweep takes its two passes.
+        passes : how a sweep makes its two passes.
         Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes), passes)
@@ -165,18 +164,18 @@ class Detector:
 
     @property
     def name(self) -> str:
-        """As it is named where its boxes are."""
+        """The name that is reported with its boxes."""
         return f"{self.card.name}, confirmed by {self.confirming.card.name}" if self.confirming else self.card.name
 
     @property
     def sure(self) -> float:
-        """The mean confidence of two looks from which a vehicle counts."""
+        """The mean confidence of two passes from which a vehicle counts."""
         return (self.confirming if self.confirming and self.passes == Passes.CONFIRMED else self).card.sure
 
     @property
     def takes_parts(self) -> bool:
-        """Whether it sees in a part of an image what it sees there in the whole, at less cost: our networks do; others
-        may have inputs of one size, or look at the whole image for each box."""
+        """Whether it detects the same in a part of an image as in the whole, at less cost. Our networks do; others may
+        have an input of fixed size, or use the whole image for each box."""
         return isinstance(self._network, _Shipped)
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
@@ -184,11 +183,11 @@ class Detector:
         return self.see(image, threshold)[VEHICLES]
 
     def see(self, image: np.ndarray, threshold: float | None = None) -> dict[str, Boxes]:
-        """As a call, and with the VEHICLES what else is in `image` of a standard size, by kind (`objects`)."""
+        """Like a call, but by kind: boxes of VEHICLES, and of other objects of standard size in `image` (`objects`)."""
         threshold = self.card.score if threshold is None else threshold
         if self.layout.size is None:
             return self._run(image, threshold)
-        # The network's input has one size: look through windows of it, and leave what a window cuts to its neighbour.
+        # The network's input has a fixed size: look at windows of it, and leave what a window cuts to its neighbour.
         parts: dict[str, list[Boxes]] = {kind: [Boxes.empty()] for kind in (VEHICLES, *self.layout.objects)}
         height, width = image.shape[:2]
         for y in _starts(height, self.layout.size[0]):
@@ -215,7 +214,7 @@ class Detector:
         shift = np.array(how.mean, np.float32)[:, None, None] / std
         padded = np.empty((1, 3, rows, columns), np.float32)
         padded[..., height:, :] = padded[..., width:] = NO_DATA_GREY / std
-        channels = cv2.split(image)  # far faster than numpy's transposing
+        channels = cv2.split(image)  # far faster than transposing in NumPy
         for k, channel in enumerate(channels if how.channels == "RGB" else channels[::-1]):
             np.multiply(channel, (1 / std)[k], out=padded[0, k, :height, :width])
         if shift.any():
@@ -250,20 +249,20 @@ class Detector:
 
 
 def read_network(path: Path) -> bytes:
-    """What is in the ONNX file `path`, which the memory budget must hold. Raises InputError."""
+    """The content of the ONNX file `path`, which must fit the memory budget. Raises InputError."""
     return read_bytes(path, "Give a network as an .onnx file; --memory allows larger ones.", memory())
 
 
 def load_network(path: Path | None, shipped: str, threads: int) -> tuple[Path, bytes, _Shipped | Worker]:
-    """The network in the file at `path`, or the one of our weights that is called `shipped`: its file, that file's
-    content, and what runs it. Raises InputError."""
+    """The network in the file at `path`, or our weights named `shipped`: its file, the file's content, and what runs
+    it. Raises InputError."""
     file = path or Path(str(resources.files(__package__) / "weights" / shipped))
     content = read_network(file)
     return file, content, _Shipped(content, threads) if path is None else _foreign(file, content, threads)
 
 
 class _Shipped:
-    """A network of ours, in this process; as `foreign.Worker`."""
+    """A network of ours, in this process; used like `foreign.Worker`."""
 
     def __init__(self, content: bytes, threads: int):
         settings = {"threads": threads, "operators": None, "arena": True}
@@ -305,7 +304,7 @@ def _card(path: Path, metadata: dict[str, str], layout: NetworkForm) -> Card:
 
 
 def _starts(size: int, span: int) -> list[int]:
-    """Where windows of `span` px begin that cover `size` px, neighbours sharing OVERLAP px or more."""
+    """Start of each of the windows of `span` px that cover `size` px; neighbours share OVERLAP px or more."""
     if size <= span:
         return [0]
     shared = min(OVERLAP, span // 2)

@@ -12,13 +12,13 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from .order import GOLDEN
 
-# Chosen by eye: a patch for each block that GDAL would decode anyway, and in a picture of 12000 x 9000 px a second.
+# Chosen by eye: a patch for each block that GDAL would decode anyway; a picture of 12000 x 9000 px takes a second.
 CELLS_ACROSS = 64  # at most, along the longer side of the picture
 LEAST_CELL = 256  # least side of a cell [px], the usual block of a GeoTIFF
-PATCH_SIDE = 32  # of what is looked at in a cell [px]; ground is of many colours there at any scale
-FIRST_EVERY = 3  # cells across and down, of which one is looked at first
-# Share of these that are empty, from which all are looked at. With less, hardly a look in the search is wasted, and a
-# blown-out roof or still water changes nothing.
+PATCH_SIDE = 32  # of the part of a cell that is looked at [px]; at any scale the ground has several colours in it
+FIRST_EVERY = 3  # at first only every third cell across and down is looked at
+# Share of empty ones among these, from which all cells are looked at. With fewer, hardly a look of the scale search is
+# wasted, and a blown-out roof or still water changes nothing.
 MANY_EMPTY = 0.25
 
 
@@ -35,8 +35,8 @@ class Windowed(Picture, Protocol):
 
 @dataclass(frozen=True)
 class Filled:
-    """width, height : of the picture [px]. cells : (rows, columns) bool, where an even grid of cells may show anything;
-    None where the picture is taken for full."""
+    """width, height : of the picture [px]. cells : (rows, columns) bool, which cells of an even grid may show anything;
+    None if the picture is taken to be full."""
 
     width: int
     height: int
@@ -64,10 +64,10 @@ class Filled:
 
 
 def filled(picture: Picture) -> Filled:
-    """Where a picture shows anything. One that is decoded as a whole (it has no ``decoded_px``) is taken for full.
+    """Where a picture shows anything. One that is decoded as a whole (it has no ``decoded_px``) is taken to be full.
 
-    A cell is empty if it and its neighbours are each of one grey, whatever says so: a mask, blocks that were never
-    written, or a white or black border that nobody declared. Of a picture with overviews all of a cell is looked at,
+    A cell is empty if it and its neighbours are each of one grey, whatever the reason: a mask, blocks that were never
+    written, or a white or black border that nobody declared. In a picture with overviews the whole cell is looked at,
     else a patch of it.
     """
     if not isinstance(picture, Windowed):
@@ -77,7 +77,7 @@ def filled(picture: Picture) -> Filled:
     return _known[picture]
 
 
-# The search, its tie-break and the sweep ask one after another; a picture that nobody else holds is let go.
+# The scale search, its tie-break and the sweep ask for the same pictures. References are weak: an unused one is freed.
 _known: WeakKeyDictionary[Windowed, Filled] = WeakKeyDictionary()
 
 
@@ -97,12 +97,12 @@ def _looked_at(picture: Windowed) -> Filled:
 
 
 def _empty(picture: Windowed, row: int, column: int, rows: int, columns: int) -> bool:
-    """Whether what is looked at in one of `rows` x `columns` cells is of one grey."""
+    """Whether one of `rows` x `columns` cells, or the patch of it that is looked at, is of one grey."""
     x, width = _span(column, columns, picture.width)
     y, height = _span(row, rows, picture.height)
     across, down = min(PATCH_SIDE, width), min(PATCH_SIDE, height)
     if picture.decoded_px(width, height, across, down) > 4 * across * down:  # no overview is as coarse
-        # Patches are spread within their cells, lest a narrow strip lie between them.
+        # Patches have different places within their cells, so that a narrow strip cannot lie between them.
         x += int((width - across) * (GOLDEN * row % 1))
         y += int((height - down) * (GOLDEN * column % 1))
         width, height = across, down
@@ -110,16 +110,16 @@ def _empty(picture: Windowed, row: int, column: int, rows: int, columns: int) ->
 
 
 def one_grey(image: np.ndarray) -> bool:
-    """Whether an image is of one grey all over, as what has no data is."""
+    """Whether an image is of one grey all over, as areas without data are."""
     return bool(image.min() == image.max())
 
 
 def _span(number: int, cells: int, size: int) -> tuple[int, int]:
-    """Start and length [px] of one of so many `cells` along `size` px."""
+    """Start and length [px] of cell `number` of `cells` equal ones along `size` px."""
     start = number * size // cells
     return start, (number + 1) * size // cells - start
 
 
 def _touched(start: int, length: int, size: int, cells: int) -> slice:
-    """Those of so many `cells` along `size` px that a span [px] touches."""
+    """Which of `cells` equal cells along `size` px a span [px] touches."""
     return slice(start * cells // size, -(-(start + length) * cells // size))

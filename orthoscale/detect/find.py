@@ -1,4 +1,4 @@
-"""All vehicles in some pictures: the resampling factor, then two detection passes over as many tiles as needed."""
+"""Finds the vehicles in a set of pictures: the scale search, then two detection passes over as many tiles as needed."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
 WHY_SELDOM = "of a size at which the two passes agree on few, as on mistakes"
-ZOOM_FRAMES = 200  # of a model, in which the scale search looks: its windows are in as many at most but for the lowest
+ZOOM_FRAMES = 200  # frames of a model that the scale search gets; but for the lowest factors, it seldom needs more
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much to look at, and with what.
+    """How much of the pictures to process, and with which resources.
 
     target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
-    exhaustive : look at every tile of every picture.
-    seed : of the order of tiles, and of the pictures in the search for the zoom.
-    workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler instead of them.
-    cache : keep what was detected in tiles, and use what was kept.
+    exhaustive : process every tile of every picture.
+    seed : for the order of tiles, and for the order of pictures in the scale search.
+    workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler to use instead.
+    cache : store the detections in tiles, and use stored ones.
     """
 
     target: float = 0.005
@@ -57,7 +57,7 @@ class Effort:
 
     @property
     def threads_each(self) -> int:
-        """Threads that a detector may use for one look, so that all workers together have one per core."""
+        """Threads that a detector may use for one image, so that all workers together use one per core."""
         return max(1, cores() // worker_count(self.workers))
 
 
@@ -70,13 +70,13 @@ def find_vehicles(
     sampling: Callable[[Detections], float] | None = None,
     cover: Cover | None = None,
 ) -> tuple[Detections, ZoomChoice | None]:
-    """Sweep `pictures` at the right zoom (searched for unless given), looking twice; a vehicle must show in both looks.
+    """Sweep `pictures` at the right zoom (searched for unless given). A vehicle must be detected in both passes.
 
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
-    sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
-    little): the sweep ends when it reaches the effort's target, and leaves out tiles that show nothing. Without it, all
-    tiles are looked at. cover : of frames that overlap: enough of them are looked at, whatever the target, and more
-    only for too little evidence.
+    sampling : computes the sampling part of the uncertainty from the detections so far (infinite if they are too few).
+    The sweep then skips empty tiles and ends when this reaches the effort's target. Without it, all tiles are
+    processed. cover : the order of overlapping frames. Then `cover.enough` of them are processed whatever the target,
+    and more only while the evidence is too little.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
     effort = effort or Effort()
@@ -123,7 +123,7 @@ def find_vehicles(
         )
     kept = _without(detections(found), WHY_EQUAL, _equal_things)
     if len(pictures) == 1:
-        # Frames from nearer and farther show vehicles at several lengths, of which the farther are seldom confirmed.
+        # Not for frames: their distances vary, so vehicles have several lengths, and distant ones are seldom confirmed.
         kept = _without(kept, WHY_SELDOM, seldom_confirmed)
     return kept, choice
 
@@ -152,15 +152,18 @@ def _promising_first(
     seed: int,
     progress: Callable[[int, int], None] | None,
 ) -> np.ndarray:
-    """Numbers of an orthophoto's tiles, spread evenly at every stop; those with something to see from afar sooner."""
+    """Numbers of an orthophoto's tiles, evenly spread wherever the sweep stops; those that the coarse pass finds
+    promising tend to come sooner."""
     places = [tile for _, tile in jobs]
     evenly = visiting_order(places, np.ones(len(jobs)), seed)
     return visiting_order(places, coarse_pass(jobs, evenly, detector, count, progress), seed)
 
 
 def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:
-    """`found`, where those boxes of a picture that are `doubted`, (N,) bool of its boxes and its doubtful ones, are
-    set aside; a note says how many and `why`."""
+    """`found` without the boxes that `doubted` selects; they are set aside, and a note says how many and `why`.
+
+    doubted : from the boxes of one picture and its doubtful ones to (N,) bool of the former.
+    """
     boxes, aside = dict(found.boxes), {}
     for name, seen in found.boxes.items():
         out = doubted(seen, found.doubtful.get(name, Boxes.empty()))
@@ -173,7 +176,7 @@ def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.n
 
 
 def _equal_things(boxes: Boxes, _: Boxes) -> np.ndarray:
-    """(N,) bool: `boxes` of things too much alike for vehicles, and what is probably more of the same."""
+    """(N,) bool: `boxes` of things too equal in size for vehicles, and what is probably more of the same."""
     alike = all_alike(boxes)
     return alike | more_of_the_same(boxes, alike) if alike.any() else alike
 
@@ -181,7 +184,8 @@ def _equal_things(boxes: Boxes, _: Boxes) -> np.ndarray:
 def find_zoom(
     pictures: Sequence[Picture], detector: Detector, progress: Progress | None = None, effort: Effort | None = None
 ) -> ZoomChoice:
-    """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
+    """The zoom for the sweep. Raises TooLittleEvidence if none shows vehicles, EvidenceDisagrees if two are about
+    equally likely."""
     effort = effort or Effort()
     step = None if progress is None else partial(progress, "Scale search")
     workers = worker_count(effort.workers)

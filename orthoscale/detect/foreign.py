@@ -29,7 +29,7 @@ IMAGE_ALONE = "Export it with one RGB image [1, 3, height, width] of single or h
 
 
 class Said(NamedTuple):
-    """What a network says of itself: (name, type, shape) of inputs and outputs, and its metadata."""
+    """A network's description, from its file: (name, type, shape) of inputs and outputs, and its metadata."""
 
     inputs: list[tuple[str, str, list]]
     outputs: list[tuple[str, str, list]]
@@ -37,22 +37,22 @@ class Said(NamedTuple):
 
 
 class Worker:
-    """A network in a process of its own, which ends with this object or this process.
+    """A network in a process of its own, which ends with this object or with our process.
 
-    It looks at one image at a time, so callers from several threads wait for each other; `threads` work on an image.
-    Memory is limited to the budget, on Linux.
+    It processes one image at a time, so callers from several threads wait for each other; `threads` work on an image.
+    On Linux its memory is limited to the budget.
     """
 
     def __init__(self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float | None = None):
-        """Load the network `content` of the file at `path`, which has `seconds` for each look.
+        """Load the network `content` of the file at `path`, which has `seconds` for each image.
 
-        Raises InputError; ForeignError for what it says itself.
+        Raises InputError; ForeignError for an error that onnxruntime reports.
         """
         self._path = path
         self._seconds = LONGEST_SECONDS if seconds is None else seconds
         self._turn = threading.Lock()
         self._late = False
-        # Nothing is imported from where the user happens to be, and no more threads are made than are asked for.
+        # -P: nothing is imported from the user's current folder. The variables: no more threads than are asked for.
         self._process = subprocess.Popen(
             [sys.executable, "-P", foreign_worker.__file__],
             stdin=subprocess.PIPE,
@@ -67,8 +67,8 @@ class Worker:
         self.said = Said(said["inputs"], said["outputs"], said["metadata"])
 
     def run(self, image: np.ndarray) -> list[np.ndarray]:
-        """The outputs for `image`. Raises InputError for a network that dies or takes too long, ForeignError for an
-        error of its own."""
+        """The outputs for `image`. Raises InputError if the network's process dies or takes too long, ForeignError for
+        an error that onnxruntime reports."""
         image = np.ascontiguousarray(image)
         head = {
             "input": self.said.inputs[0][0],
@@ -101,7 +101,7 @@ class Worker:
                 raise
             finally:
                 clock.cancel()
-                clock.join()  # until it has ended its thread holds this object, and with it the process
+                clock.join()  # its thread holds this object, and with it the process, until it has ended
         if "error" in answer:
             if (
                 answer["kind"] == "MemoryError"
@@ -132,7 +132,8 @@ class Worker:
 
 
 class ForeignError(Exception):
-    """What onnxruntime said of a network, in one line; `library`: of the operators that it was to be given."""
+    """What onnxruntime says is wrong with a network, in one line. library : whether the library of custom operators is
+    to blame."""
 
     def __init__(self, reason: str, library: bool = False):
         super().__init__(reason)
@@ -144,5 +145,5 @@ def _stop(process: subprocess.Popen) -> None:
     process.wait()
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
-            with suppress(OSError):  # what it was being told goes nowhere
+            with suppress(OSError):  # unsent data is lost
                 pipe.close()

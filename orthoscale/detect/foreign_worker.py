@@ -1,8 +1,8 @@
 """The process that runs a user's ONNX network, started by `foreign.Worker`. It needs only NumPy and onnxruntime.
 
 Messages in both directions are 8 bytes of length, one line of JSON and raw bytes. The first holds the network and the
-limits, and is answered with the network's description; then come images, each answered with the network's outputs; or
-"error" instead.
+limits, and is answered with the network's description. Then come images, each answered with the network's outputs. An
+answer may be an "error" instead.
 """
 
 import json
@@ -40,7 +40,7 @@ def receive(pipe: IO[bytes]) -> tuple[dict, bytes]:
 def main() -> None:
     """Serve requests from standard input until it ends; answers go to standard output, see the module's text."""
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    # What libraries print is nobody's answer.
+    # What libraries print must not get into the answers.
     silence = os.open(os.devnull, os.O_RDWR)
     for fd in (0, 1, 2):
         os.dup2(silence, fd)
@@ -74,8 +74,8 @@ class LibraryError(Exception):
 
 
 def _limit(memory: int) -> None:
-    """Let no more than `memory` bytes be allocated, where the system counts them (Linux). Files that are mapped do not
-    count, as they do against RLIMIT_AS."""
+    """Let no more than `memory` bytes be allocated, where the system counts them (Linux). Mapped files do not count;
+    they would with RLIMIT_AS."""
     if sys.platform == "linux":
         import resource
 
@@ -84,13 +84,13 @@ def _limit(memory: int) -> None:
 
 
 def session(content: bytes, settings: dict) -> Any:
-    """onnxruntime's session of the network `content`."""
+    """An onnxruntime session for the network `content`."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = settings["threads"]
-    options.log_severity_level = 4  # what it has to say comes as an exception, once
-    # Spinning threads starve the reader and the decoder where cores are few.
+    options.log_severity_level = 4  # no log: errors come as exceptions anyway
+    # Spinning threads starve the reader and the decoder on machines with few cores.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.enable_cpu_mem_arena = settings["arena"]  # it asks for up to twice what is needed
     if settings["operators"]:
@@ -102,7 +102,7 @@ def session(content: bytes, settings: dict) -> Any:
 
 
 def said(network: Any) -> dict:
-    """What a network says of itself, as `foreign.Said`."""
+    """A network's description, with the fields of `foreign.Said`."""
     inputs, outputs = (
         [(v.name, v.type, v.shape) for v in some] for some in (network.get_inputs(), network.get_outputs())
     )

@@ -1,9 +1,9 @@
-"""The measurer: a second network that looks at a found vehicle once more and says where its four edges are.
+"""The measurer: a second network that looks at a detected vehicle once more and locates its four edges.
 
-It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide, at `CROP_WIDTH` x
-`CROP_HEIGHT` px whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it
-does not matter which way a vehicle points or in which hand a picture is; each of `PASSES_EACH` passes is cut along what
-the last one found, so that the answer does not follow the box that was proposed.
+It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide as that, at
+`CROP_WIDTH` x `CROP_HEIGHT` px whatever the picture's resolution. The exported network averages over the crop's
+mirrors, so that it does not matter which way a vehicle points or whether a picture is mirrored. Each of `PASSES_EACH`
+passes cuts its crop along the box that the last one found, so that the result does not depend on the proposed box.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ SHIPPED_MEASURER = "measurer.onnx"
 
 CROP_WIDTH, CROP_HEIGHT = 96, 48  # of the crop that the network sees [px]
 CROP_LENGTHS = 1.7  # length of the crop in lengths of the proposed box
-AROUND = 0.85  # of the window that is read, from the box's centre either way, in lengths of the crop
-BATCH = 32  # crops a run
-# Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
+AROUND = 0.85  # half side of the window that is read around the box's centre, in lengths of the crop
+BATCH = 32  # crops per run
+# Each pass leaves a quarter to a half of the proposed box's influence on the result; after four none is left.
 PASSES_EACH = 4
-# Of the length, by which an unsure edge is moved at most. Beds of pickups and bonnets in shade that were left out are
-# up to a tenth of it; one that is unsure by more is anywhere.
+# An unsure edge is moved by at most this share of the length. Pickup beds and shaded bonnets that were left out are up
+# to a tenth of it; an edge that is unsure by more may be anywhere.
 MOVED_AT_MOST = 0.08
-MOVED_SD = 1 / 3  # what a moved edge's place is uncertain by besides, as a share of the way it was moved
+MOVED_SD = 1 / 3  # additional uncertainty of a moved edge (one sigma), as a share of the distance that it was moved
 NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
 
@@ -51,16 +51,16 @@ MEASURER_CARD, MEASURER_HINT = (
 
 @dataclass(frozen=True)
 class MeasurerCard:
-    """What a measurer says of itself, kept in the ONNX file's metadata under ``orthoscale``.
+    """A measurer's description, stored in the ONNX file's metadata under ``orthoscale``.
 
-    ruler : of its boxes, in pixels of the picture, for it looks at that as it is.
-    sigma_times : (2,) how many times what it states the errors of its lengths and widths are.
-    effective_height : up to where its boxes enclose a vehicle seen obliquely, along length and width [m].
-    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
-    body : what they enclose there, one of `core.projection.exact.BODIES`.
-    inward : how far an unsure edge lies inside the vehicle, in times of what its sigma exceeds a sure one's. An edge
-        that may be the bonnet's or the bumper's is told between the two, and the vehicle ends at the outer one.
-    sure : sigma of an edge that is told as well as it can be: share of the vehicle's length, and px of the picture.
+    ruler : of its boxes, in pixels of the picture, since it works at the picture's own resolution.
+    sigma_times : (2,) factors by which the errors of its lengths and widths exceed the sigmas that it states.
+    effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
+    undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 if unknown.
+    body : the shape that its boxes enclose in oblique views, one of `core.projection.exact.BODIES`.
+    inward : how far an unsure edge lies inside the vehicle, per unit by which its sigma exceeds a sure edge's. An edge
+        that may be either the bonnet's or the bumper's is placed between the two, but the vehicle ends at the outer.
+    sure : sigma of an edge that is as sure as can be: share of the vehicle's length, and px of the picture.
     """
 
     name: str
@@ -76,7 +76,7 @@ class MeasurerCard:
 
     @classmethod
     def from_json(cls, text: str, origin: str) -> MeasurerCard:
-        """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
+        """Parse the text in a file's metadata; messages call it `origin`. Raises InputError if it is not a card."""
         from ..formats.schemas.networks import MeasurerCardEntry
 
         entry = checked(
@@ -90,35 +90,35 @@ class MeasurerCard:
         return cls(**{**values, "ruler": entry.ruler.ruler})
 
     def sure_sigma(self, length: np.ndarray, pixel: float = 1.0) -> np.ndarray:
-        """(N, 1) sigma of a sure edge of vehicles of `length` (N,) [px], looked at in pixels of `pixel` each [px]."""
+        """(N, 1) sigma of a sure edge of vehicles of `length` (N,) [px], seen in pixels of the size `pixel` [px]."""
         share, px = self.sure
         return np.hypot(share * length, px * pixel)[:, None]
 
     def outward(self, sigma: np.ndarray, length: np.ndarray, pixel: float = 1.0, soft: float = 1.0) -> np.ndarray:
-        """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px].
+        """(N, 4) how far to move edges of `sigma` (N, 4) outwards [px], for vehicles of `length` (N,) [px].
 
-        pixel : of those that were looked at [px]. soft : how many times as unsure a sure edge is there
-            (`soft.softness`).
+        pixel : size of the pixels that were looked at [px of the picture]. soft : factor by which the sigma of a sure
+            edge exceeds that in a sharp picture (`soft.softness`).
         """
         excess = sigma - soft * self.sure_sigma(length, pixel)
         return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
-# Which edge comes where in the order of `Measured.sigma`, once a box was turned by so many quarters.
+# Row k: the order of the edges, as in `Measured.sigma`, after a box was turned by k quarters.
 TURNED_EDGES = np.array([[0, 1, 2, 3], [2, 3, 1, 0], [1, 0, 3, 2], [3, 2, 0, 1]])
-FIRST_COLUMNS = (5, 9, 13, 13 + len(ANSWERS))  # in `Measured.rows`, of sigma, seen, kind and light; the box is before
+FIRST_COLUMNS = (5, 9, 13, 13 + len(ANSWERS))  # of sigma, seen, kind and light in `Measured.rows`, after the box
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What the measurer says of N vehicles.
+    """The measurer's results for N vehicles.
 
     boxes : their boxes, edge to edge; the score is the proposed box's.
-    sigma : (N, 4) one standard deviation of where each edge lies [px of the picture]: at the end against the box's
-        direction, at the end in it, left and right of who looks along it (image coordinates: left is -y at angle 0).
-    seen : (N, 4) 0..1, how surely each edge is in sight, not under a tree or beyond the picture's edge.
-    kind : (N, 5) shares of `ANSWERS`.
-    light : (N,) how light its paint is, of `shade.lightness`.
+    sigma : (N, 4) one standard deviation of each edge's position [px of the picture]. In the box's own axes the edges
+        are -x, +x, -y, +y: both ends, then left and right side as seen along its direction (image coordinates, y down).
+    seen : (N, 4) 0..1, the probability that each edge is visible, not under a tree or beyond the picture's edge.
+    kind : (N, 5) probabilities of `ANSWERS`.
+    light : (N,) how light its paint is, as in `shade.lightness`.
     """
 
     boxes: Boxes
@@ -129,7 +129,7 @@ class Measured:
 
     @property
     def rows(self) -> np.ndarray:
-        """(N, 19) all of it as numbers, one row a vehicle, but for the scores."""
+        """(N, 19) all of it but the scores as numbers, one row per vehicle."""
         return np.column_stack([self.boxes.xylwa, self.sigma, self.seen, self.kind, self.light])
 
     @classmethod
@@ -142,7 +142,7 @@ class Measured:
         kind: np.ndarray,
         light: np.ndarray,
     ) -> Measured:
-        """What is told along boxes `xylwa` (N, 5) of any direction, which `Boxes` turns along the longer side.
+        """Results given along boxes `xylwa` (N, 5) of any direction; `Boxes` turns them along the longer side.
 
         score : (N,) of the proposed boxes. The others are as the fields.
         """
@@ -152,18 +152,18 @@ class Measured:
 
     @classmethod
     def of_rows(cls, rows: np.ndarray, score: np.ndarray) -> Measured:
-        """What has these `rows` (N, 19), with the scores (N,) of the proposed boxes."""
+        """The inverse of `rows` (N, 19), with the scores (N,) of the proposed boxes."""
         xylwa, sigma, seen, kind, light = np.split(rows, FIRST_COLUMNS, axis=1)
         return cls.along(xylwa, score, sigma, seen, kind, light[:, 0])
 
     def moved_out(self, outward: np.ndarray) -> Measured:
-        """The same with edges farther out by `outward` (N, 4) [px], and less certain for that."""
+        """The same with edges farther out by `outward` (N, 4) [px], and accordingly less certain."""
         boxes = replace(self.boxes, xylwa=moved_out(self.boxes.xylwa, outward))
         return replace(self, boxes=boxes, sigma=np.hypot(self.sigma, MOVED_SD * outward))
 
     @property
     def size_sigma(self) -> np.ndarray:
-        """(N, 2) one standard deviation of length and width [px], the two edges of each taken as independent."""
+        """(N, 2) one standard deviation of length and width [px], if the two edges of each are independent."""
         variance = self.sigma**2
         return np.sqrt(np.stack([variance[:, :2].sum(1), variance[:, 2:].sum(1)], 1))
 
@@ -176,7 +176,8 @@ def pixels_per_crop_pixel(box: np.ndarray) -> float:
 def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
     """(CROP_HEIGHT, CROP_WIDTH, 3) uint8, the picture (H, W, 3) along `box` (5,), whose centre is the crop's.
 
-    Enlarged by a cubic; reduced by averaging over `n` x `n` samples a pixel, as many as it has picture pixels each way.
+    Enlarged by cubic interpolation; reduced by averaging over `n` x `n` samples for each crop pixel, `n` being the
+    number of picture pixels across it.
     """
     step = pixels_per_crop_pixel(box)
     n = int(np.clip(np.ceil(step), 1, 16))
@@ -184,7 +185,7 @@ def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
     along = fine * np.array([np.cos(box[4]), np.sin(box[4])])
     linear = np.array([[along[0], -along[1]], [along[1], along[0]]])  # from samples to the picture
     middle = np.array([n * CROP_WIDTH / 2, n * CROP_HEIGHT / 2])
-    # OpenCV puts a pixel's centre at its integer index, boxes half a pixel further.
+    # OpenCV puts a pixel's centre at its integer index, our boxes put it half a pixel further.
     shift = box[:2] - linear @ middle + linear @ (0.5, 0.5) - 0.5
     samples = cv2.warpAffine(
         picture, np.c_[linear, shift], (n * CROP_WIDTH, n * CROP_HEIGHT),
@@ -195,8 +196,8 @@ def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
-    """(5,) box in the picture from the edges (4,) in crop pixels from its centre [-x, +x, -y, +y] and its turn against
-    the proposed `box` [rad]."""
+    """(5,) box in the picture. edges : (4,) -x, +x, -y, +y from the crop's centre [crop px]. turn : of the box against
+    the proposed `box` (5,) [rad]."""
     step = pixels_per_crop_pixel(box)
     centre = step * np.array([edges[0] + edges[1], edges[2] + edges[3]]) / 2
     cos, sin = np.cos(box[4]), np.sin(box[4])
@@ -217,13 +218,13 @@ def moved_out(boxes: np.ndarray, outward: np.ndarray) -> np.ndarray:
 class Measurer:
     """Holds one network; safe to call from several threads.
 
-    card : what it says of itself. sha256 : of its file.
+    card : its description. sha256 : of its file.
     """
 
     def __init__(self, path: Path | None = None, threads: int = 1) -> None:
         """Load a network that `training.measurer` made, by default the shipped one.
 
-        threads : of one run. Raises InputError for a file that cannot be read or is none.
+        threads : of one run. Raises InputError for a file that cannot be read or is not a measurer.
         """
         self._path, content, self._network = load_network(path, SHIPPED_MEASURER, threads)
         inputs, outputs, metadata = self._network.said
@@ -249,19 +250,18 @@ class Measurer:
         enlarged: Fraction = AS_IT_IS,
         contrast: float = SHADOW_CONTRAST,
     ) -> Measured:
-        """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read.
+        """Measure the vehicles that `boxes` propose in a picture. Only a window around each is read.
 
-        Edges are where the network tells them; how far unsure ones are to be moved out, all of a scene's tell
-        (`soft.softness`).
-        enlarged : the picture is looked at so many times smaller. What is told stays in its pixels; the card's margin
-            and noise are so many times as large. contrast : of shadows, at least (`shade.shadow_contrast`).
+        Edges stay where the network places them. How far unsure ones have to be moved out depends on all vehicles of
+        the scene (`soft.softness`), so the caller does it.
+        enlarged : factor by which the picture is reduced first. Results are in pixels of the picture all the same; the
+            card's margin and noise grow by this factor. contrast : of shadows, at least (`shade.shadow_contrast`).
         """
         windows = [_window(picture, box, enlarged) for box in boxes.xylwa]
         return self._look(windows, boxes, looks, float(enlarged), contrast)
 
     def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
-        """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB, that are sharp: unsure edges are
-        moved out."""
+        """Measure the vehicles that `boxes` propose in sharp pixels (H, W, 3), uint8 RGB, and move unsure edges out."""
         told = self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
         return told.moved_out(self.card.outward(told.sigma, told.boxes.length))
 
@@ -273,8 +273,8 @@ class Measurer:
         enlarged: float = 1.0,
         contrast: float = SHADOW_CONTRAST,
     ) -> Measured:
-        """windows : pixels around each vehicle, `enlarged` times fewer than the picture's, and where their first corner
-        lies in the picture."""
+        """windows : pixels around each vehicle, the picture reduced by `enlarged`, and where their first corner lies in
+        the picture."""
         if not len(boxes):
             return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(ANSWERS))), np.empty(0))
         corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
@@ -293,8 +293,8 @@ class Measurer:
 
 
 def _window(picture: Picture, box: np.ndarray, enlarged: Fraction) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels that the looks at `box` (5,) may need, `enlarged` times fewer each way, and where their first corner
-    lies. A whole number of them fits the window."""
+    """The pixels that the looks at `box` (5,) may need, reduced by `enlarged`, and where their first corner lies in the
+    picture. The window is a whole number of reduced pixels wide and high."""
     half = AROUND * CROP_WIDTH * pixels_per_crop_pixel(box)
     limit = np.array([picture.width, picture.height])
     low = np.clip(np.floor(box[:2] - half), 0, limit - 1).astype(int)

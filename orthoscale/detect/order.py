@@ -1,4 +1,4 @@
-"""The order in which the tiles of a picture are processed: every first part of it is a fair sample of the whole."""
+"""The order in which the tiles of a picture are processed: wherever it is cut off, its first part is a fair sample."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ def visiting_order(tiles: Sequence[Tile], weight: np.ndarray, seed: int = 0) -> 
     """(N,) a permutation of the indices of `tiles`; `weight` (N,) > 0 says how early each should come.
 
     Systematic sampling with probability proportional to weight: the tiles lie along a space-filling curve, each on a
-    stretch as long as its weight, and the multiples of the golden ratio, which fill a circle evenly however many are
-    taken, pick stretch after stretch. So tiles of one weight come equally early on average over the seeds, and any
-    number of them is spread over the picture.
+    stretch as long as its weight. Multiples of the golden ratio, which fill a circle evenly however many are taken,
+    pick one stretch after another. So tiles of equal weight come equally early on average over the seeds, and the first
+    tiles, however many, are spread over the picture.
     """
     if not len(tiles):
         return np.empty(0, int)
     along = np.argsort(_along_curve(np.array([[t.x + t.width / 2, t.y + t.height / 2] for t in tiles])), kind="stable")
     end = np.cumsum(weight[along]) / weight.sum()
     shortest = float(np.diff(end, prepend=0).min())
-    # The points of the golden ratio leave no gap longer than 2.62 over their number (three-gap theorem).
+    # N multiples of the golden ratio leave no gap longer than 2.62 / N (three-gap theorem).
     steps = np.arange(int(np.ceil(2.7 / shortest)))
     points = (np.random.default_rng(seed).random() + steps * GOLDEN) % 1
     picked = np.minimum(np.searchsorted(end, points, side="right"), len(tiles) - 1)

@@ -1,4 +1,4 @@
-"""What goes into a network file and what comes out of it, recognised from its metadata and the shapes of its outputs.
+"""The input and output formats of network files, recognised from their metadata and the shapes of their outputs.
 
 | decoder | outputs | made by |
 |---|---|---|
@@ -26,7 +26,7 @@ from ..formats.reading import checked, read
 from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_ultralytics_nms_free
 from .foreign import IMAGE_ALONE
 
-LARGEST_STRIDE = 1024  # [px] networks' are powers of two from 8 to 128
+LARGEST_STRIDE = 1024  # [px] real networks have powers of two from 8 to 128
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
 
 
@@ -42,7 +42,7 @@ class Normalisation:
     channels: str = "RGB"
 
 
-# MMDetection's preprocessors: that of ImageNet-trained backbones, and RTMDet's (configs/rtmdet of MMRotate 1.x).
+# MMDetection's preprocessing: for ImageNet-trained backbones, and for RTMDet (configs/rtmdet of MMRotate 1.x).
 IMAGENET = Normalisation((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
 RTMDET = Normalisation((103.53, 116.28, 123.675), (57.375, 57.12, 58.395), "BGR")
 
@@ -51,10 +51,10 @@ RTMDET = Normalisation((103.53, 116.28, 123.675), (57.375, 57.12, 58.395), "BGR"
 class NetworkForm:
     """How to feed a network and how to read it.
 
-    multiple : height and width of its input must be multiples of this [px]. size : (height, width) where the file
-    fixes them [px]. decode : from its outputs, numbers of classes and a score to boxes of these [px of its input].
-    vehicles : numbers of the classes that count. objects : those of standard objects, by kind. assumed : what the file
-    does not say and was taken for granted, for people.
+    multiple : height and width of its input must be multiples of this [px]. size : (height, width) [px] if the file
+    fixes them. decode : (outputs, class numbers, least score) to the boxes of these classes [px of its input].
+    vehicles : numbers of the vehicle classes. objects : class numbers of objects of standard size, by kind. assumed :
+    what the file does not say and was assumed, in words for the user.
     """
 
     decoder: str
@@ -75,11 +75,11 @@ def recognise(
     decoder: str | None = None,
     vehicle_classes: Sequence[str] = (),
 ) -> NetworkForm:
-    """The layout of the network in `path`; `decoder` names it where it is not to be guessed.
+    """The form of the network in `path`. decoder : one of DECODERS; None to recognise it.
 
     metadata : of the ONNX file. input_shape : of its image. outputs : shape by name. vehicle_classes : names or
     numbers of the classes that count, instead of those whose names mean small vehicles.
-    Raises InputError for a network that is none of those above, UsageError where a choice is the user's.
+    Raises InputError for a network that is none of those above, UsageError for a wrong or missing choice of the user.
     """
     task = metadata.get("task", "obb")
     if task != "obb":
@@ -119,7 +119,7 @@ def _decoder(outputs: Mapping[str, Shape], metadata: Mapping[str, str]) -> str |
     if _fits("orthoscale", outputs):
         return "orthoscale"
     free, raw = (_fits(name, outputs) for name in ("ultralytics-nms-free", "ultralytics"))
-    if free and raw:  # [1, 7, 7], or sizes that the file leaves open: only the metadata can tell
+    if free and raw:  # [1, 7, 7], or sizes that the file leaves open: the metadata must decide
         names = _names(metadata)
         if metadata.get("end2end") == "True" or "'nms': True" in metadata.get("args", ""):
             raw = False
@@ -217,7 +217,7 @@ def _mmrotate(
     def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
         return decode_mmrotate(arrays[dets][0].astype(np.float64), arrays[labels][0], classes, score)
 
-    # Where the user numbers the classes, they are not known to be DOTA's.
+    # If the user gives class numbers, the classes need not be DOTA's.
     objects = {} if numbers else _others(names, vehicles)
     return NetworkForm(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed), objects)
 
@@ -232,12 +232,12 @@ def _vehicles(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[i
 
 
 def _others(names: Sequence[str], vehicles: Sequence[int]) -> dict[str, list[int]]:
-    """Numbers of the classes of standard objects, by kind; a class that the user calls vehicles is none."""
+    """Class numbers of objects of standard size, by kind, without classes that the user declared to be vehicles."""
     return {kind: n for kind, n in object_numbers(names).items() if not set(n) & set(vehicles)}
 
 
 def _names(metadata: Mapping[str, str]) -> list[str] | None:
-    """Class names as Ultralytics writes them, a Python dictionary of number to name; None where they are not given."""
+    """Class names as Ultralytics writes them, a Python dictionary of number to name; None if missing or unreadable."""
     try:
         table = ast.literal_eval(metadata["names"])
         return [str(table[k]) for k in range(len(table))]
@@ -246,9 +246,9 @@ def _names(metadata: Mapping[str, str]) -> list[str] | None:
 
 
 def _pipeline_normalisation(path: Path) -> Normalisation | None:
-    """What MMDeploy's ``pipeline.json`` beside the network says (``--dump-info``); None without one.
+    """The normalisation in MMDeploy's ``pipeline.json`` (``--dump-info``) beside the network; None without one.
 
-    Raises InputError for a file that is there and cannot be understood.
+    Raises InputError for a file that cannot be understood.
     """
     from ..formats.schemas.networks import NormalisationEntry, Pipeline
 

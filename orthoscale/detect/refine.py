@@ -1,9 +1,9 @@
-"""Test-time augmentation (`--refine`): detected vehicles are detected again, turned and at neighbouring resampling
-factors.
+"""Test-time augmentation (`--refine`): detected vehicles are detected again in rotated pictures and at neighbouring
+resampling factors.
 
 The median over these views has less noise than a single box, and their spread is part of the box's own noise
-(`Boxes.sigma`). Turns are by quarters, which needs no resampling; the factors are a quarter octave higher and lower, so
-that a margin in pixels is the same on average.
+(`Boxes.sigma`). Rotations are by 90 degrees, which needs no resampling; the factors are a quarter octave higher and
+lower, so that a margin in pixels is the same on average.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ..core.source import Picture
 from ..system.threads import Threads
 from .tiles import Detect, place, read, tiles
 
-FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which a median says more than a single box
-# What is known of a box's spread from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
-# five views alone know a standard deviation only to a third.
+FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which their median is better than a single box
+# The variance over all boxes is a prior for that of each box, with the weight of this many views (Smyth 2004, moderated
+# variances): five views alone give a standard deviation only to within a third.
 PRIOR_VIEWS = 4
-MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
+MEDIAN_VARIANCE = 0.29  # variance of the median of five views, as a share of one view's (normal distribution)
 
 
 @dataclass(frozen=True)
 class View:
-    """quarters : counter-clockwise turns by 90 degrees. zoom : times the zoom of the first look."""
+    """quarters : counter-clockwise turns by 90 degrees. zoom : as a multiple of the first view's."""
 
     quarters: int
     zoom: float
@@ -49,7 +49,8 @@ def refined(
 ) -> dict[str, Boxes]:
     """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views.
 
-    noise : (2,) of one look's length and width [detector px]. Boxes that too few views show keep what they had.
+    noise : (2,) one sigma of length and width in a single view [detector px]. Boxes that too few views show are
+    unchanged.
     """
     jobs = [
         (picture, tile, number)
@@ -72,11 +73,11 @@ def refined(
 
 
 def look_turned(picture: Picture, tile: Tile, quarters: int, detect: Detect) -> Boxes:
-    """Whole vehicles in a tile that is turned before the detector sees it, in the picture's pixels."""
+    """Whole vehicles in a tile that is rotated before the detector sees it, in the picture's pixels."""
     image = read(picture, tile)
     boxes = detect(np.ascontiguousarray(np.rot90(image, quarters)))
     height, width = image.shape[:2]
-    # Where np.rot90 puts the point (x, y) of an image of width x height, the other way round.
+    # The inverse of what np.rot90 does to a point (x, y) of an image of width x height.
     x, y = boxes.centre.T
     back = {0: (x, y), 1: (width - y, x), 2: (width - x, height - y), 3: (y, height - x)}[quarters % 4]
     turned = np.column_stack([*back, boxes.length, boxes.width, boxes.angle + quarters * np.pi / 2])
@@ -84,10 +85,11 @@ def look_turned(picture: Picture, tile: Tile, quarters: int, detect: Detect) -> 
 
 
 def agreed(boxes: Boxes, views: Sequence[Boxes], noise: np.ndarray) -> Boxes:
-    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their own sigma.
+    """`boxes` with the median centre, size and angle of themselves and of their counterparts in `views`, and with their
+    own sigma.
 
-    noise : (2,) of one look's length and width [px]. The part of it that looks differ by is replaced by what the median
-    leaves of it; what looks share (paint, shade, blur) stays.
+    noise : (2,) one sigma of length and width in a single view [px]. Its part that differs between views is replaced by
+    that of their median; the part that all views share (paint, shade, blur) stays.
     """
     if not len(boxes):
         return boxes
@@ -97,7 +99,7 @@ def agreed(boxes: Boxes, views: Sequence[Boxes], noise: np.ndarray) -> Boxes:
         i, j, _ = matched(boxes, view, SAME_VEHICLE)
         row[i] = view.xylwa[j]
     count = np.isfinite(rows[..., 0]).sum(0)
-    rows[..., 4] = (rows[..., 4] - boxes.angle + np.pi / 2) % np.pi - np.pi / 2  # turns away from the first
+    rows[..., 4] = (rows[..., 4] - boxes.angle + np.pi / 2) % np.pi - np.pi / 2  # rotation relative to the first
     rows[..., 2:4] = np.log(rows[..., 2:4])
     xylwa = np.nanmedian(rows, axis=0)
     xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])

@@ -1,8 +1,8 @@
-"""Found vehicles are measured once more: the measurer's edges take the place of the detector's.
+"""Measures the detected vehicles once more: the measurer's edges replace the detector's.
 
-The detector looks at all of a picture at one zoom; the measurer at each vehicle, in the picture's own pixels. It costs
-50 times more for one, so where there are more than MOST boxes, MOST of them are measured, evenly over pictures and
-scores, and these tell by how much the detector's boxes of this scene are too large; the others are corrected by that.
+The detector processes the whole picture at one zoom; the measurer processes each vehicle, in the picture's own pixels.
+That costs 50 times more per vehicle. So of more than MOST boxes only MOST are measured, evenly over pictures and
+scores. They show by how much the detector's boxes of this scene are too large, and the others are corrected by that.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from .soft import less_sure, softness
 from .windows import windows_about
 from .workers import worker_count
 
-MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
-MOST_IN_FRAMES = 1500  # of which a vehicle has many, in views that tell how high boxes reach
+MOST = 400  # boxes that are measured; more would reduce the scale's uncertainty by less than the margin's part of it
+MOST_IN_FRAMES = 1500  # the same in frames: each vehicle has many boxes, in views that show how high boxes reach
 AT_A_TIME = 8  # boxes that one thread measures at a time
-# Share of "none" from which a box does not count: where that is likelier than not. Of 1243 vehicles in eleven test
-# scenes 4 reach it, of 127 boxes beside them that are none 5; at a tenth it is 154 and 60, small dark vehicles most of
-# all (training/measurer/README.md).
+# Probability of "none" from which a box does not count: then "none" is likelier than not. In eleven test scenes 4 of
+# 1243 vehicles reach it, and 5 of the 127 boxes beside them that are not vehicles. At a tenth it would be 154 and 60,
+# small dark vehicles most of all (training/measurer/README.md).
 NONE = 0.5
 WHY_NONE = "in which the measurer saw no vehicle"
-SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
+SAME = 0.4  # IoU with the proposed box below which another thing was measured; boxes 30 % too large have 0.59
 
 
 @dataclass(frozen=True)
 class _Change:
-    """What measuring does to the sizes of one scene's boxes: (2,) median of the log ratio of lengths and of widths, and
-    their one-sigma scatter."""
+    """How measuring changes the sizes of one scene's boxes: (2,) median log ratio of measured to detected lengths and
+    widths, and (2,) its one-sigma scatter."""
 
     log_ratio: np.ndarray
     scatter: np.ndarray
@@ -60,16 +60,16 @@ def remeasured(
     progress: Progress | None = None,
     most: int = MOST,
 ) -> Detections:
-    """`found` with the boxes that `measurer` makes of it in `pictures`, and its ruler.
+    """`found` with the boxes that `measurer` measures in `pictures`, and with its ruler.
 
-    What it takes for no vehicle is set aside. Each box has a sigma of its own, and kinds where it was looked at.
-    effort : its workers and cache. most : boxes that are measured, at most.
+    Boxes that it takes for no vehicle are set aside. Each box has a sigma of its own; those that were measured have
+    kinds. effort : only its workers and cache are used. most : boxes that are measured, at most.
     """
     effort = effort or Effort()
     by_name = {picture.name: picture for picture in pictures}
     chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name}, most)
     if not chosen and len(found):
-        return found  # nothing that was found is at hand
+        return found  # no picture of the detected vehicles is available
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
     windows = windows_about(by_name, proposed)
     enlarged, contrast = enlargement(windows), shadow_contrast(windows)
@@ -111,8 +111,9 @@ def remeasured(
 
 
 def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction, soft: float) -> Iterator[str]:
-    """What measuring changed, for the report. no_vehicles : boxes that do not count any more. too_large : (2,) log of
-    what was taken off dark vehicles. enlarged : by how much the pictures had been. soft : of `softness`."""
+    """What measuring changed, for the report. no_vehicles : number of boxes that no longer count. too_large : (2,) log
+    factor that was taken off dark vehicles. enlarged : factor that the pictures had been enlarged by. soft : `softness`
+    of the pictures."""
     if no_vehicles:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     if too_large.any():
@@ -143,7 +144,8 @@ def _looked_at(
     kept: Kept | None,
     progress: Progress | None,
 ) -> dict[str, Measured]:
-    """What a `look` says of the `proposed` boxes of each picture; what was `kept` is not looked at again."""
+    """Results of `look` for the `proposed` boxes of each picture; those that the cache `kept` has are not computed
+    again."""
     rows: dict[str, list[np.ndarray | None]] = {}
     jobs = []
     for name, boxes in proposed.items():
@@ -163,9 +165,9 @@ def _looked_at(
 
 
 def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -> tuple[dict[str, Measured], float]:
-    """The same with unsure edges moved out as far as they lie inside; how soft the pictures are (`softness`).
+    """`told` with unsure edges moved outwards to the vehicles' outlines, and how soft the pictures are (`softness`).
 
-    pixel : of those that were looked at [px].
+    pixel : size of the pixels that were looked at [px of the picture].
     """
     if not (card.inward and any(card.sure) and told):
         return dict(told), 1.0
@@ -176,7 +178,8 @@ def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -
 
 
 def _without_shadows(told: Mapping[str, Measured]) -> tuple[dict[str, Measured], np.ndarray]:
-    """The same without what dark vehicles have of their shadows; (2,) how much that was, of log length and width."""
+    """`told` without the shadows in the boxes of dark vehicles, and (2,) the log factor of length and width that this
+    takes off."""
     every = [(np.log(t.boxes.xylwa[:, 2:4]), np.where(t.kind[:, -1] < NONE, t.light, np.nan)) for t in told.values()]
     too_large = shadows(*(np.concatenate(part) for part in zip(*every, strict=True))) if every else np.zeros(2)
     without = {}
@@ -197,12 +200,13 @@ def _kept(kept: Kept | None, picture: Picture, box: np.ndarray) -> np.ndarray | 
 
 
 def _is_vehicle(told: Measured, proposed: Boxes) -> np.ndarray:
-    """(N,) bool: a vehicle, and the one that was proposed."""
+    """(N,) bool: whether it is a vehicle, and the one that was proposed."""
     return (told.kind[:, -1] < NONE) & (overlap(told.boxes.xylwa, proposed.xylwa) >= SAME)
 
 
 def _of(told: Measured, measurer: Measurer) -> Boxes:
-    """The boxes that were measured, with the errors that their sizes have and what they are if they are vehicles."""
+    """The measured boxes with their sigma (relative, one sigma of length and width) and their kinds, as probabilities
+    given that they are vehicles."""
     sigma = told.size_sigma * measurer.card.sigma_times / told.boxes.xylwa[:, 2:4]
     kinds = told.kind[:, :-1] / np.maximum(told.kind[:, :-1].sum(1, keepdims=True), 1e-9)
     return replace(told.boxes, sigma=sigma, kinds=kinds)
@@ -223,7 +227,8 @@ def _corrected(boxes: Boxes, change: _Change) -> Boxes:
 
 
 def _in_detector_pixels(ruler: Ruler, zoom: float) -> Ruler:
-    """A ruler in pixels that are `zoom` of the detector's, as `Detections` has it."""
+    """A ruler given in pixels of which each is `zoom` detector pixels wide, converted to detector pixels, as
+    `Detections` has it."""
     margin, margin_sd, noise = (
         tuple((zoom * np.array(value)).tolist()) for value in (ruler.margin, ruler.margin_sd, ruler.noise)
     )

@@ -1,4 +1,4 @@
-"""The sweep: two detection passes tile by tile, or frame by frame, that may stop at any time with a fair sample."""
+"""The sweep: two detection passes, tile by tile or frame by frame. Whenever it stops, it has seen a fair sample."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .detector import Passes
 from .tiles import Looks
 from .workers import Visit
 
-FIRST = 16  # tiles (or frames) that are looked at before asking whether they are enough
-SMALLEST_BATCH = 4  # of any later batch
+FIRST = 16  # tiles (or frames) that are processed before checking whether they are enough
+SMALLEST_BATCH = 4  # tiles (or frames) of any later batch, at least
 ON_TARGET = "enough for --target"
 REPEATED = "the others show the same ground again"
 
 
 @dataclass(frozen=True)
 class Found:
-    """Vehicles by picture name [px of the picture]: `boxes` that both passes show; `doubtful` that the first one alone
-    does, or both without being sure. A box's score is the mean of both passes'.
+    """Vehicles by picture name [px of the picture]: `boxes` that both passes show; `doubtful` ones that only the first
+    shows, or both with too low a mean score. The score of `boxes` is the mean of both passes'.
 
-    objects : those of a standard size that both looks show, by picture name and kind.
+    objects : objects of standard size that both passes show, by picture name and kind.
     """
 
     boxes: dict[str, Boxes]
@@ -37,12 +37,12 @@ class Found:
 
 @dataclass(frozen=True)
 class Stop:
-    """When a sweep has seen enough: `spread` of what was found so far is at most `target`.
+    """When a sweep has seen enough: when the `spread` of what was found so far is at most `target`.
 
     spread : sampling part of the scale's uncertainty (relative, one sigma), infinite for too little evidence. It is
-    asked after batches of tiles that depend on nothing but what was found before, never on the time or on the number of
-    workers, so the same tiles are visited every time. enough : how many steps of the order show all that there is; then
-    so many are taken whatever the target, and more only while the spread is infinite.
+    computed after batches whose sizes depend only on what was found before, never on the time or on the number of
+    workers, so the same tiles are visited every time. enough : number of steps of the order that show all there is to
+    see, for frames. Then these are taken whatever the target, and more only while the spread is infinite.
     """
 
     spread: Callable[[Found], float]
@@ -51,7 +51,7 @@ class Stop:
 
     @property
     def first(self) -> int:
-        """Steps before the spread is asked for the first time."""
+        """Steps before the spread is computed for the first time."""
         return FIRST if self.enough is None else max(self.enough, 1)
 
     def reached(self, spread: float) -> bool:
@@ -60,12 +60,12 @@ class Stop:
 
     @property
     def why(self) -> str:
-        """Why the sweep ended where it is reached."""
+        """Why the sweep ended, for people."""
         return ON_TARGET if self.enough is None else REPEATED
 
     def further(self, steps: int, spread: float) -> int:
-        """How many more steps are likely to reach the target from `spread` after `steps`: it falls with the square root
-        of their number. At most as many again, because the guess is rough."""
+        """How many more steps will probably reach the target, if the spread is `spread` after `steps`: it falls with
+        the square root of their number. At most as many again, because this is a rough guess."""
         excess = spread / self.target if self.target > 0 else np.inf
         return int(max(min(steps * (excess**2 - 1), steps), SMALLEST_BATCH))
 
@@ -80,18 +80,18 @@ def sweep_twice(
     sure: float = 0.0,
     passes: Passes = Passes.FINE_FIRST,
 ) -> Found:
-    """Look at the tiles `jobs` in `order`, all of them or until `stop`.
+    """Process the tiles `jobs` in `order`, all of them or until `stop`.
 
-    order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array.
-    `progress(done, total)` counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the
-    mean score of its two passes is at least `sure`; its size is the geometric mean of theirs, or that of the fine one
-    where `passes` are CONFIRMED.
+    order : numbers of all jobs, each once; those of one frame, which are processed together, as one array.
+    `progress(done, total)` counts tiles; the total is a guess if the sweep may stop early. A vehicle counts if the
+    mean score of its two passes is at least `sure`. Its size is the geometric mean of theirs, or that of the fine one
+    if `passes` are CONFIRMED.
     """
     looks: dict[int, Looks] = {}
     cached = steps = 0
     batch = len(order) if stop is None else stop.first
     while True:
-        # Files are read fastest from the top; many (JPEG, PNG) only so.
+        # Files are read fastest from top to bottom; many (JPEG, PNG) can be read only in this order.
         numbers = sorted(n for step in order[steps : steps + batch] for n in np.atleast_1d(step).tolist())
         steps += batch
         expected = len(looks) + len(numbers)
@@ -118,7 +118,7 @@ def sweep_twice(
 def _assembled(
     jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float, passes: Passes
 ) -> Found:
-    """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
+    """Merges overlapping tiles: non-maximum suppression in each pass, then what both passes show."""
     names = list(dict.fromkeys(picture.name for picture, _ in jobs))
     pairs: dict[str, list[tuple[Boxes, Boxes]]] = {name: [] for name in names}
     others: dict[str, dict[str, list[tuple[Boxes, Boxes]]]] = {name: {} for name in names}
@@ -138,8 +138,8 @@ def _assembled(
 
 
 def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float, passes: Passes) -> tuple[Boxes, Boxes]:
-    """Boxes that the fine and the coarse pass over some tiles both show, `sure` enough together, and the others of the
-    one that was the first."""
+    """Boxes that the fine and the coarse pass over some tiles both show with a mean score of `sure` or more, and all
+    other boxes of the pass that came first."""
     fine, coarse = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
     i, j, _ = matched(fine, coarse, SAME_VEHICLE)
     xylwa = fine.xylwa[i].copy()

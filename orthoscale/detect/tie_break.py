@@ -1,8 +1,8 @@
-"""Two possible lengths of the vehicles after the scale search: the finder decides between them.
+"""If the scale search leaves two possible lengths of the vehicles, the finder decides between them.
 
-The search counts the detections of one small network at many resampling factors. It mistakes many graves and panels for
-vehicles; the larger network, which makes the second detection pass of a sweep, hardly any. So if the search leaves two
-lengths possible, a sample is swept at both, and the length at which more boxes are confirmed is taken.
+The search counts the detections of one small network at many resampling factors. This network mistakes many graves and
+panels for vehicles; the finder, the larger network that makes the second detection pass of a sweep, hardly any. So a
+sample is swept at both lengths, and the one at which more boxes are confirmed is taken.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from .sweep import sweep_twice
 from .workers import visitor
 from .zoom import ZoomChoice, sample, zoom_for
 
-# Standing of the second best length, as a share of the best one's, from which the larger network is asked. Real
-# orthophotos have less (`core.confirmed.AS_LIKELY`), and cost no more time.
+# The finder is asked if the second best length has at least this share of the best one's significance. Real orthophotos
+# have less (`core.confirmed.AS_LIKELY`), and so need no more time.
 CONTESTED = 0.2
-# Log of the ratio to a length, within which boxes are of vehicles of that length: fleets' extremes, but no farther than
+# Boxes count for a length if the log of their ratio to it is within this: the extremes of a fleet, but no farther than
 # half of the way to the other length.
 OF_THAT_LENGTH = 0.4
 
@@ -36,7 +36,7 @@ def settled(
     seed: int = 0,
     workers: int = 1,
 ) -> ZoomChoice:
-    """`choice` with the length first of which more vehicles are confirmed, where it was contested."""
+    """`choice`; if it was contested, with the length first at which more vehicles are confirmed."""
     if detector.confirming is None or choice.vehicle_px is None or not choice.rival_px or choice.rival < CONTESTED:
         return choice
     lengths = [choice.vehicle_px, choice.rival_px]
@@ -60,8 +60,8 @@ def settled(
 def _standing(
     length: float, near: float, pictures: Sequence[Picture], detector: Detector, seed: int, workers: int
 ) -> float:
-    """What speaks for vehicles of `length` [px of the pictures], give or take `near` [log]: how many are confirmed,
-    times their share."""
+    """Evidence for vehicles of `length` [px of the pictures], give or take `near` [log]: the number of confirmed boxes
+    times their share of all."""
     jobs = [(pictures[k], tile) for k, tile in sample(pictures, zoom_for(length, detector.card), seed)]
     with ExitStack() as open_things:
         visit = open_things.enter_context(visitor(detector, workers, None))

@@ -1,4 +1,4 @@
-"""Detection in pictures of any size: overlapping windows, whose boxes are converted to the picture's own pixels."""
+"""Detection in pictures of any size: in overlapping tiles, whose boxes are converted to the picture's own pixels."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
 TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
-TILE_SIZE = 600  # [byte] that a tile takes while it waits for its turn
-# The coarse pass, half an octave coarser: half the pixels, another view of each mistake.
+TILE_SIZE = 600  # [byte] of memory that a tile takes while it waits for its turn
+# The coarser of the two passes is half an octave coarser: half the pixels, and mistakes look different.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
-# What the second pass sees around what the first saw [px of its input]: the rest of the vehicle, and as much again.
+# Border around the boxes of the first pass that the second one sees [px of its input]: the rest of the vehicle, and as
+# much again.
 PART_BORDER = 96
-PART_GRID = 128  # on multiples of it parts of a tile begin and end [px of the input]: few sizes, and whole strides
+PART_GRID = 128  # parts of a tile begin and end at multiples of this [px of the input]: few sizes, and whole strides
 
 Detect = Callable[[np.ndarray], Boxes]
 
 
 @dataclass(frozen=True)
 class Looks:
-    """Whole vehicles that two passes over one tile found, one at its zoom and one at CONFIRMING_ZOOM times that [px of
-    the picture].
+    """Whole vehicles in one tile: those of the fine pass, at the tile's zoom, and those of the coarse pass, at
+    CONFIRMING_ZOOM times that [px of the picture].
 
-    objects : whole objects of a standard size, by kind, that the fine and the coarse pass found.
+    objects : by kind, the whole objects of standard size that the fine and the coarse pass found.
     """
 
     fine: Boxes
@@ -57,7 +58,7 @@ def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLA
 def check_number(
     pictures: Iterable[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
 ) -> None:
-    """Raise InputError where `lists` of the `tiles` of all `pictures` would take more than the memory budget."""
+    """Raise InputError if the `tiles` of one of the `pictures`, held `lists` times, would exceed the memory budget."""
     for picture in pictures:
         sides = (_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
         require(
@@ -67,14 +68,15 @@ def check_number(
 
 
 def _spans(size: int, zoom: float, tile: int, overlap: int) -> Iterator[tuple[int, int]]:
-    """(start, length) pairs [px of the picture] that cover 0..size evenly, neighbours sharing at least `overlap`."""
+    """(start, length) pairs [px of the picture] that cover 0..size evenly; neighbours share `overlap` [px of the input]
+    or more."""
     span, count = _division(size, zoom, tile, overlap)
     for k in range(count):
         yield round(k * (size - span) / max(count - 1, 1)), span
 
 
 def _division(size: int, zoom: float, tile: int, overlap: int) -> tuple[int, int]:
-    """How long the spans are [px of the picture], and how many."""
+    """Length of each span [px of the picture], and their number."""
     span, shared = min(size, max(1, int(tile / zoom))), int(np.ceil(overlap / zoom))
     if span >= size:
         return size, 1
@@ -82,16 +84,17 @@ def _division(size: int, zoom: float, tile: int, overlap: int) -> tuple[int, int
 
 
 def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
-    """Whole vehicles in one tile, in the picture's pixels; boxes that the tile's edge may cut are left to its neighbour
-    (and dropped at the picture's edge, where nobody sees them whole)."""
+    """Whole vehicles in one tile, in the picture's pixels. Boxes that the tile's edge may cut are left to the
+    neighbouring tile (and dropped at the picture's edge, where no tile shows them whole)."""
     return place(detect(read(picture, tile)), tile)
 
 
 def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
     """Two passes over one tile, whose pixels are read once. A tile of one grey (no data) is left out.
 
-    Only what both show counts, and most of many surveys is empty: the second one looks only around what the first saw.
-    A Detector says which is the first, and who takes them (`Passes`). confirm : takes the coarse pass instead.
+    Only what both passes show counts, and most of the area of many surveys is empty, so the second pass looks only
+    around the boxes of the first. A Detector's `passes` say which is the first, and which network makes each.
+    confirm : makes the coarse pass instead.
     """
     image = read(picture, tile)
     if one_grey(image):
@@ -124,8 +127,11 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
 
 @dataclass(frozen=True)
 class _Pass:
-    """What looks at a tile, the tile's pixels, and how many of them it sees across and down. Boxes are by kind; a plain
-    function knows vehicles only."""
+    """One pass over a tile.
+
+    detect : a Detector, or a function that knows vehicles only. pixels : of the tile. width, height : of the image that
+    it sees [px]. Boxes are by kind.
+    """
 
     detect: Detect
     pixels: np.ndarray
@@ -134,18 +140,18 @@ class _Pass:
 
     @cached_property
     def image(self) -> np.ndarray:
-        """What it sees; made when it is first looked at, since most second passes are not taken."""
+        """What the detector sees; resampled on first use, since most second passes are not needed."""
         if self.pixels.shape[:2] == (self.height, self.width):
             return self.pixels
         return cv2.resize(self.pixels, (self.width, self.height), interpolation=cv2.INTER_AREA)
 
     def whole(self) -> dict[str, Boxes]:
-        """All that it sees [px of the image]."""
+        """Boxes in all of the image [px of the image]."""
         return self._seen(self.image)
 
     def around(self, seen: dict[str, Boxes], by: _Pass) -> dict[str, Boxes]:
-        """What it sees around the boxes that the pass `by` has `seen`; nothing where these are none. A detector that
-        may not see parts of an image as it sees the whole looks at all of it."""
+        """Boxes around those that the pass `by` has `seen`; none if it saw none. A detector that may see less in a part
+        of an image than in the whole gets all of it."""
         boxes = Boxes.concatenate(list(seen.values()))
         if not len(boxes):
             return {VEHICLES: boxes}
@@ -170,8 +176,8 @@ def read(picture: Picture, tile: Tile) -> np.ndarray:
 
 
 def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
-    """`boxes` of a tile [px of the input] in pixels of its picture; those that come nearer than `border` [px of the
-    input] to the tile's edge are left out, for they may be cut, and a neighbouring tile shows them whole."""
+    """`boxes` of a tile [px of the input] in pixels of its picture. Those nearer than `border` [px of the input] to the
+    tile's edge are left out: they may be cut, and a neighbouring tile shows them whole."""
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 

@@ -1,4 +1,4 @@
-"""Windows about some of the found vehicles: what they and their surroundings look like in these pictures."""
+"""Windows around some of the found vehicles: samples of how vehicles and their surroundings look in these pictures."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.source import Picture
 
-AT_MOST = 30  # windows; what is asked of them are medians and quantiles of them all
+AT_MOST = 30  # windows; enough for medians and quantiles over them
 
 
 def windows_about(pictures: Mapping[str, Picture], boxes: Mapping[str, Boxes]) -> list[np.ndarray]:
-    """Grey windows (H, W), uint8, about some `boxes`, evenly chosen from all; two of their lengths wide."""
+    """Grey windows (H, W), uint8, around some `boxes`, evenly chosen from all; each is two box lengths wide."""
     every = [(name, box) for name, some in boxes.items() for box in some.xylwa]
     chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, AT_MOST).astype(int))] if every else []
     return [_window(pictures[name], box) for name, box in chosen]

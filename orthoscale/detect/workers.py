@@ -25,8 +25,8 @@ Settings = tuple[Path | None, str | None, tuple[str, ...], Passes]
 Visit = Callable[[Jobs], Iterator[tuple[int, Looks]]]
 """Looks at tiles; yields each with its number as soon as it is there, in any order."""
 
-MOST_THREADS = 8  # by default; each holds a tile and the network's maps of it, some 70 MB
-RETRIES = 3  # of a tile whose Dask worker was lost
+MOST_THREADS = 8  # by default; each holds a tile and the network's feature maps of it, some 70 MB
+RETRIES = 3  # of a tile that fails on a Dask worker
 CONNECTING = "10s"
 
 
@@ -36,7 +36,7 @@ def cores() -> int:
 
 
 def worker_count(asked: int | None) -> int:
-    """`asked`, or a thread per core, eight at most. Raises UsageError for less than one."""
+    """`asked`, or by default a thread per core, eight at most. Raises UsageError if `asked` is less than one."""
     if asked is not None and asked < 1:
         raise UsageError(f"--workers must be 1 or more, not {asked}")
     return asked or min(cores(), MOST_THREADS)
@@ -49,12 +49,12 @@ def on_threads(jobs: Jobs, detect: Detect, count: int) -> Iterator[tuple[int, Lo
 
 
 def done_on_threads(work: Mapping[int, Callable[[], Done]], count: int) -> Iterator[tuple[int, Done]]:
-    """What each piece of `work` gives, with its number, as soon as it is done by one of `count` threads."""
+    """The result of each piece of `work` with its number, as soon as one of `count` threads has finished it."""
     waiting = iter(work.items())
     with Threads(count) as pool:
         running: dict[Future[Done], int] = {}
         while True:
-            # Few are handed out at a time: an error or Ctrl-C has only those to wait for.
+            # Few pieces are handed out at a time, since an error or Ctrl-C has to wait for all that are.
             for number, piece in islice(waiting, 2 * count - len(running)):
                 running[pool.submit(piece)] = number
             if not running:
@@ -65,10 +65,11 @@ def done_on_threads(work: Mapping[int, Callable[[], Done]], count: int) -> Itera
 
 @contextmanager
 def visitor(detector: Detector, count: int, scheduler: str | None) -> Iterator[Visit]:
-    """The way to look at tiles: `count` threads, or the Dask cluster at the address `scheduler` (``tcp://host:8786``).
+    """A function that looks at tiles, on `count` threads or on the Dask cluster at the address `scheduler`
+    (``tcp://host:8786``).
 
-    On a cluster pictures and detector are opened by their paths, so every machine must see them there.
-    Raises UsageError when Dask is not installed or nobody answers at the address.
+    On a cluster pictures and detector are opened by their paths, so every machine must have them there.
+    Raises UsageError if Dask is not installed or nobody answers at the address.
     """
     if scheduler is None:
         yield lambda jobs: on_threads(jobs, detector, count)
@@ -96,7 +97,7 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
 
     path, *how = detector.settings
     given = (None if path is None else Path(path).absolute(), *how), detector.sha256, memory()
-    # A task of a worker that is lost goes to another one; `retries` is for errors such as a network drive's hiccup.
+    # Dask itself moves the tasks of a lost worker to another one; `retries` is for errors such as a network drive's.
     futures = {
         client.submit(_look_elsewhere, picture, tile, *given, pure=False, retries=RETRIES): number
         for number, (picture, tile) in jobs.items()
@@ -119,7 +120,7 @@ def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings, sha256: st
 
 @lru_cache(maxsize=2)
 def _detector(settings: Settings, sha256: str) -> Detector:
-    """The network of that content. Raises InputError where this machine has another."""
+    """The detector, opened on this machine. Raises InputError if the file here has another `sha256`."""
     path, decoder, vehicle_classes, passes = settings
     detector = Detector(path, decoder, vehicle_classes, 1, passes)
     if detector.sha256 != sha256:

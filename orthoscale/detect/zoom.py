@@ -1,16 +1,16 @@
-"""The scale search: the resampling factor at which the detector sees the vehicles of pictures of unknown GSD.
+"""The scale search: finds the resampling factor that suits the detector, for pictures of unknown GSD.
 
 A vehicle has the same size in the picture at every resampling factor; a false detection has the size that the detector
 was trained for, so it shrinks in the picture as the factor grows. A sample of windows is therefore processed at a whole
 pyramid of factors. Boxes that a neighbouring factor confirms vote for their length in picture pixels. The length with
-most votes is taken for the vehicles', and the factor that brings it to the detector's best length is used for the
-sweep.
+the most significant votes is taken for the vehicles', and the factor that brings it to the detector's best length is
+used for the sweep.
 
 In a large picture two factors often agree by chance (glints on water, tiles, gravel). So a box's vote is its score
 times a weight that depends on the share of boxes of about its length on which the two factors agree: 0.6 to 0.95 for
 vehicles, 0.05 to 0.4 for anything else. Factors also differ in the area that was sampled: at a low factor a small
 picture is soon seen as a whole, at a high one there is always more to see. The number of false votes grows with this
-area, their scatter with its root; so the length whose votes are most significant is chosen.
+area, and their scatter with its square root; so votes are compared with this scatter.
 """
 
 from __future__ import annotations
@@ -33,41 +33,42 @@ from .tiles import Detect, look, tiles
 
 # Where these numbers come from: BUDGET's second and DECODED's ratio were measured on two cores. The rest follows from
 # what each comment says, or was chosen by eye when the search was written (commits b828208, ab86001, 039154f), so that
-# vehicles of 8 to 400 px, few of them among many mistakes, and ground without any come out right (tests/test_zoom.py).
-# No script has tuned them, and nobody has measured how much better others would be.
-# Zooms looked at: octaves that bring vehicles of 8 to 400 px into the detector's range, each into that of two or three.
+# the search is right for vehicles of 8 to 400 px, few of them among many mistakes, and for ground without any
+# (tests/test_zoom.py). No script has tuned them, and nobody has measured how much better others would be.
+# Zooms that are tried: octaves. Two or three of them bring vehicles of 8 to 400 px into the detector's usable range.
 ZOOM_LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)
 WINDOW = 768  # side of a sample window [px of the network's input]
-# Network pixels looked at per zoom in the first round, about a second on two cores. Where a zoom is the right one these
-# are 0.16 km2 of ground, whatever it is, so the same budget for all of them is fair.
+# Network pixels processed per zoom in the first round; about a second on two cores. At the right zoom they cover
+# 0.16 km2 of ground, whatever that zoom is, so the same budget for all of them is fair.
 BUDGET = 12e6
-DECODED = 8.0  # pixels that are decoded in the time in which one is looked at (deflate: 18 ns against 150 ns)
-WIDER = (4, 16)  # times as much in later rounds, but only at zooms where the rounds before promise vehicles
-USUAL = (1 / 8, 1.0)  # where nothing is promised, zooms of drone pictures (1 to 12 cm/px) get one look more
+DECODED = 8.0  # pixels decoded in the time that the network takes for one (deflate: 18 ns against 150 ns)
+WIDER = (4, 16)  # factors on BUDGET in later rounds, only for zooms that the rounds before found promising
+USUAL = (1 / 8, 1.0)  # if no zoom is promising, those of drone pictures (1 to 12 cm/px) get one more look
 PROMISING = 0.5  # votes that make a length worth another look; one vehicle that two zooms agree on gives as much
 ENOUGH_VOTES = 14.0  # votes (of 1 at most each) after which no further round is needed
-CLEAR_WINNER = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
+CLEAR_WINNER = (4.0, 0.35)  # fewer votes are enough, too, if the second best length has less than this share of them
 FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
-NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
-# Share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote.
+NEAR_AND_FAR = 4.0  # lengths within this factor may be those of the same vehicles, in frames from nearer and farther
+# Share of boxes that two zooms agree on: up to the first it is that of mistakes, whose votes get the least weight; from
+# the second on that of vehicles, whose votes count in full.
 AGREED = (OF_MISTAKES, 0.6)
-LEAST_VOTE = 0.05  # that is left however few are agreed on
-MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
-WELL_SEEN = 20.0  # [px of the network] below which it says the usual size of whatever it sees: cars look all alike
-VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
+LEAST_VOTE = 0.05  # weight of a vote, however small the share of boxes that zooms agree on
+MISTAKE_EVERY = 2e6  # on busy ground, network pixels for each mistake on which zooms agree by chance
+WELL_SEEN = 20.0  # shorter boxes [px of the network] get the network's usual size, so cars all look alike
+VISIBLE = 1.15  # factor on the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
 VOTES_AT_ONCE = 8192  # votes that are counted at once
-MAX_ZOOM = 4.0  # that the search chooses: vehicles of 8 px become 32 px long, what enlarging shows them at best
-HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half of what can be measured
+MAX_ZOOM = 4.0  # highest that the search chooses: vehicles of 8 px become 32 px long, and more enlarging shows no more
+HIGHEST_ZOOM = 10.0  # highest that a user may ask for: it suits vehicles of 4 px, half of what can be measured
 
 
 @dataclass(frozen=True)
 class ZoomChoice:
     """zoom : network pixels per picture pixel. vehicle_px : the vehicles' length in picture pixels, None if not found.
 
-    one_scale : vehicles are of one length wherever they stand, as in an orthophoto.
-    votes : weighted boxes behind the choice. rival_px, rival : the second best length, and by what share of the first
-    its votes stand out.
+    one_scale : a vehicle has the same length wherever it stands, as in an orthophoto.
+    votes : weighted boxes behind the choice. rival_px : the second best length [px of the picture]. rival : the
+    significance of its votes as a share of the best one's.
     table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
     """
 
@@ -81,7 +82,7 @@ class ZoomChoice:
 
     @property
     def as_likely(self) -> float | None:
-        """Quite another length [px of the picture] that vehicles have about as likely; None where there is none."""
+        """Another length, quite different, that is about as likely [px of the picture]; None if there is none."""
         if self.vehicle_px is None or self.rival_px is None:
             return None
         apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
@@ -89,8 +90,11 @@ class ZoomChoice:
 
 
 def told_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:
-    """The zoom that was told, or that brings vehicles of `mean_length` [m] to the detector's best length where their
-    size in pixels was; None where it is to be searched for. Raises UsageError, as `check_zoom`."""
+    """The zoom that the user gives: `zoom`, or that at which vehicles of `mean_length` [m] have the detector's best
+    length if the GSD is `gsd_hint` [m/px]. None if neither is given: it has to be searched for.
+
+    Raises UsageError, as `check_zoom`.
+    """
     if gsd_hint is not None:
         zoom = card.best_length * gsd_hint / mean_length
     if zoom is not None:
@@ -99,7 +103,7 @@ def told_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_lengt
 
 
 def check_zoom(zoom: float, card: Card) -> None:
-    """Raises UsageError for a zoom at which no vehicle could be seen, and which would take forever."""
+    """Raises UsageError for a zoom that is too high: no vehicle could be seen, and the sweep would take forever."""
     if zoom > HIGHEST_ZOOM:
         raise UsageError(
             f"a resampling factor of {zoom:.3g} would search for vehicles {card.best_length / zoom:.2g} px long",
@@ -115,10 +119,10 @@ def search_zoom(
     seed: int = 0,
     workers: int = 1,
 ) -> ZoomChoice:
-    """The zoom at which to sweep `pictures`, looked for on `workers` threads. Deterministic for a seed.
+    """The zoom at which to sweep `pictures`, searched for on `workers` threads. Deterministic for a seed.
 
-    All zooms are looked at a little. Then those that promise vehicles are looked at more widely, until the answer is
-    clear; where none does, it is soon said that there are none.
+    All zooms get a small sample first. Then the promising ones get larger samples, until the answer is clear. If none
+    is promising, the search soon ends without vehicles.
     """
     longest = max(max(p.width, p.height) for p in pictures)
     shown = [filled(picture) for picture in pictures]
@@ -127,7 +131,7 @@ def search_zoom(
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _ZoomVotes:
         with Threads(workers) as pool:
-            # All at once: coarse zooms have a window or two, for which most threads would wait.
+            # All zooms at once: a coarse one has only a window or two, and most threads would wait for it.
             work = [(level, level.windows(pictures, order, budget)) for level in chosen]
             looks = [pool.map(lambda one: look(pictures[one[0]], one[1], detect), windows) for _, windows in work]
             for k, ((level, windows), seen) in enumerate(zip(work, looks, strict=True), 1):
@@ -160,20 +164,25 @@ def search_zoom(
 
 
 def zoom_for(length: float, card: Card) -> float:
-    """The zoom at which vehicles of `length` [px of the picture] are seen best."""
+    """The zoom that suits vehicles of `length` [px of the picture] best."""
     return float(min(card.best_length / length, MAX_ZOOM))
 
 
 def sample(pictures: Sequence[Picture], zoom: float, seed: int = 0) -> list[tuple[int, Tile]]:
-    """Windows (picture number, tile) for one look at `zoom` that costs no more than one zoom of the search."""
+    """Windows (picture number, tile) for a sample at `zoom` that costs as much as one zoom in the search's first
+    round."""
     level = _Level(zoom, [filled(picture) for picture in pictures])
     return level.windows(pictures, np.random.default_rng(seed).permutation(len(pictures)), BUDGET)
 
 
 @dataclass
 class _Level:
-    """What has been seen at one zoom: boxes of usable length by picture number, in its pixels. filled : where each
-    picture shows anything."""
+    """What was seen at one zoom so far.
+
+    filled : where each picture shows anything. parts : boxes of usable length by picture number [px of the picture].
+    done : (picture number, x, y) of the windows that were taken. anchor : number of the next place. complete : whether
+    the pictures were seen as a whole.
+    """
 
     zoom: float
     filled: Sequence[Filled]
@@ -185,9 +194,9 @@ class _Level:
     complete: bool = False
 
     def windows(self, pictures: Sequence[Picture], order: np.ndarray, budget: float) -> list[tuple[int, Tile]]:
-        """Windows (picture number, tile) to look at next, until `budget` network pixels are spent, those before
-        included; everything, where that costs no more. The same places serve every zoom, so that neighbouring zooms
-        see the same vehicles. What shows nothing is left out."""
+        """Windows (picture number, tile) to look at next, until `budget` network pixels are spent, earlier rounds
+        included; all of the pictures if that costs no more. The same places serve every zoom, so that neighbouring
+        zooms see the same vehicles. Empty places are left out."""
         if self.complete:
             return []
         shown = list(zip(pictures, self.filled, strict=True))
@@ -214,7 +223,7 @@ class _Level:
             y = int(np.clip(sy * picture.height - height / 2, 0, picture.height - height))
             out = max(1, round(width * self.zoom)), max(1, round(height * self.zoom))
             tile = Tile(x, y, width, height, *out)
-            self.spent += _cost(picture, tile)  # also for a window seen before, so that small pictures come to an end
+            self.spent += _cost(picture, tile)  # repeated windows count, too: else small pictures would loop forever
             if (index, x, y) not in self.done:
                 self.done.add((index, x, y))
                 windows.append((index, tile))
@@ -234,10 +243,10 @@ class _Level:
 
 @dataclass(frozen=True)
 class _ZoomVotes:
-    """length, rival_length : those whose votes stand out most [px of the picture], None without any; best : votes of
-    the first; rival, table as in ZoomChoice.
+    """length, rival_length : the two lengths with the most significant votes [px of the picture], None without any.
+    best : votes of the first. rival, table : as in ZoomChoice.
 
-    grid, votes : (K,) log lengths and the votes that they have.
+    grid, votes : (K,) log lengths, and the votes of each.
     """
 
     length: float | None
@@ -250,19 +259,19 @@ class _ZoomVotes:
 
     @property
     def clear(self) -> bool:
-        """Whether looking on would change nothing."""
+        """Whether further rounds would hardly change the choice."""
         return self.best >= ENOUGH_VOTES or (self.best >= CLEAR_WINNER[0] and self.rival < CLEAR_WINNER[1])
 
     def promises(self, usable: np.ndarray) -> bool:
-        """Whether a length between these two [px of the picture] has enough votes to look for more of it."""
+        """Whether a length in the range `usable` (2,) [px of the picture] has votes enough for another round."""
         here = (self.grid >= np.log(usable[0])) & (self.grid <= np.log(usable[1]))
         return bool(self.votes[here].max(initial=0) >= max(PROMISING, self.best / 4))
 
 
 @dataclass(frozen=True)
 class _Ballots:
-    """Boxes that vote: lengths (N,) [px of the picture], what each is worth (N,), and by how much votes of mistakes
-    scatter where it was seen (N,)."""
+    """Boxes that vote: their lengths (N,) [px of the picture], the weight of each vote (N,), and the scatter of false
+    votes (N,) in the area that was sampled at the box's zoom."""
 
     length: np.ndarray
     weight: np.ndarray
@@ -270,7 +279,10 @@ class _Ballots:
 
 
 def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
-    """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
+    """Boxes that two neighbouring zooms agree on vote for their length.
+
+    least_length : of usable boxes at any zoom [px of the network].
+    """
     ballots, table = [], []
     lower: _Level | None = None
     there: dict[int, Boxes] = {}
@@ -279,7 +291,8 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
         confirmed = [_confirmed(boxes, there.get(key)) for key, boxes in here.items()]
         pairs = Boxes.concatenate([boxes for boxes, _ in confirmed])
         if lower:
-            # Windows at a lower zoom hold those at a higher one, so all that is long enough could have been confirmed.
+            # A window at a lower zoom contains that at a higher one, so it could have confirmed all boxes that are long
+            # enough.
             seen = Boxes.concatenate(list(here.values())).length
             vote = _reliability(pairs.length, seen[seen * lower.zoom >= VISIBLE * least_length])
             chance = np.full(len(pairs), np.sqrt(1 + level.looked / MISTAKE_EVERY))
@@ -292,7 +305,7 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
 
 
 def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, float]]) -> _ZoomVotes:
-    """The lengths whose votes stand out most from what mistakes scatter by."""
+    """The lengths whose votes are largest in proportion to the scatter of false votes."""
     if not sum(len(some.length) for some in ballots):
         return _ZoomVotes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
     log_length = np.log(np.concatenate([some.length for some in ballots]))
@@ -313,7 +326,7 @@ def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, flo
 
 
 def _unlike(boxes: Boxes, zoom: float) -> Boxes:
-    """`boxes` found at `zoom`, without those of things too much alike for vehicles, which do not vote; nor do boxes of
+    """`boxes` found at `zoom` that may vote. Things that are too equal in size for vehicles do not; nor do boxes of
     about their length that are fewer, since they are probably more of the same."""
     alike = all_alike(boxes) & (boxes.length * zoom >= WELL_SEEN)
     if not alike.any():
@@ -322,16 +335,19 @@ def _unlike(boxes: Boxes, zoom: float) -> Boxes:
 
 
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(K,) LEAST_VOTE to 1: what boxes of lengths `agreed` (K,) that two zooms agree on are worth, where one of them
-    has `seen` boxes of these lengths (N,)."""
+    """(K,) weights, LEAST_VOTE to 1, of boxes that two zooms agree on.
+
+    agreed : (K,) their lengths. seen : (N,) lengths of all boxes of one zoom that the other could have confirmed.
+    """
     share = share_confirmed(agreed, agreed, seen)
     return np.clip((share - AGREED[0]) / (AGREED[1] - AGREED[0]), LEAST_VOTE, 1.0)
 
 
 def _cost(picture: Picture, tile: Tile) -> float:
-    """What a look costs, in network pixels: a large raster without overviews is decoded in full for the coarsest look.
+    """Cost of a look in network pixels, decoding included: a large raster without overviews is decoded in full even for
+    the coarsest look.
 
-    A picture that is decoded by windows says how many pixels by ``decoded_px``; a frame is decoded once for all zooms.
+    ``decoded_px`` of a picture that is decoded by windows says how many pixels; a frame is decoded once for all zooms.
     """
     decoded_px = getattr(picture, "decoded_px", None)
     decoded = decoded_px(tile.width, tile.height, tile.out_width, tile.out_height) if decoded_px else 0.0
@@ -339,8 +355,8 @@ def _cost(picture: Picture, tile: Tile) -> float:
 
 
 def _anchor(number: int, order: np.ndarray) -> tuple[int, float, float]:
-    """Place `number` of a sequence without end: picture, and where in it as shares of its width and height. Pictures
-    take turns in `order`; places spread evenly at any length of the sequence (R2, Roberts 2018)."""
+    """Place `number` of an endless sequence: picture, and position in it as shares of its width and height. Pictures
+    take turns in `order`; positions are evenly spread at any length of the sequence (R2, Roberts 2018)."""
     golden = 1.32471795724474602596
     n = number + 1
     return int(order[number % len(order)]), (0.5 + n / golden) % 1, (0.5 + n / golden**2) % 1

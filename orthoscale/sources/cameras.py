@@ -1,4 +1,4 @@
-"""Where the cameras of a model stand, in any of the formats, and whether two models are one."""
+"""Camera centres of a model in any of the formats, and whether two models are the same."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from .colmap_check import open_model
 from .colmap_write import read_model
 from .exchange_files import find_exchange
 
-# Of how far a model's cameras, or they and its origin, lie apart: one that was adjusted once more stays within it,
-# another one does not.
+# How far cameras of one model may stand from those of another that counts as the same, as a share of the extent of the
+# cameras, or of the cameras and the origin. A model that was adjusted once more stays within it, another does not.
 ANOTHER_MODEL = 0.02
 MODELS = (".json", *SUFFIXES)  # endings of other programs' models
-SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
+SCALED_MARK = "sim3.txt"  # a folder with this file holds a model in metres
 
 
 def cameras_of(folder: Path) -> dict[str, np.ndarray]:
-    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name. Raises InputError."""
+    """(3,) centre of each camera of the COLMAP model in `folder`, by the name of its image. Raises InputError."""
     model = read_model(folder, open_model(folder).format)
     return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
 
 
 def cameras_in(path: Path) -> dict[str, np.ndarray]:
-    """The same of another program's model in the file `path`; none for other files, and where names are missing.
-    Raises InputError for a damaged one."""
+    """The same for another program's model in the file `path`; empty for other files, and if image names are missing.
+    Raises InputError for a damaged model."""
     if path.name == SPLAT_CAMERAS:
         return splat_centres(path)
     if path.suffix.lower() == ".json":
@@ -40,7 +40,7 @@ def cameras_in(path: Path) -> dict[str, np.ndarray]:
     text = read_text_model(path)
     try:
         names, _ = image_names(path, text)
-    except InputError:  # it can be scaled without
+    except InputError:  # the model can be scaled without names
         return {}
     centres = -np.einsum("nji,nj->ni", text.rotation, text.translation)
     there = text.focal > 0
@@ -48,7 +48,7 @@ def cameras_in(path: Path) -> dict[str, np.ndarray]:
 
 
 def metric_cameras(folder: Path) -> dict[str, np.ndarray]:
-    """Those of the scaled model in `folder` [m], of any format; none where there is none. Raises InputError."""
+    """Camera centres [m] of the scaled model in `folder`, of any format; empty if there is none. Raises InputError."""
     if not (folder / SCALED_MARK).is_file():
         return {}
     if any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
@@ -60,8 +60,9 @@ def metric_cameras(folder: Path) -> dict[str, np.ndarray]:
 def refuse_another(
     source: Path, cameras: Mapping[str, np.ndarray], metric: Mapping[str, np.ndarray], scale: float
 ) -> None:
-    """Raise UsageError where `cameras` of the model `source`, `scale` times as large, stand elsewhere than those of the
-    same names in `metric` [m]: from the origin, and from the middle of all, since programs turn and shift models."""
+    """Raise UsageError if `cameras` of the model `source`, times `scale`, stand elsewhere than those of the same names
+    in `metric` [m]. Either their positions must agree or, since programs turn and shift models, their distances from
+    the middle of all."""
     names = _common(cameras, metric)
     if not names:
         return
@@ -79,8 +80,8 @@ def refuse_another(
 
 
 def _common(one: Mapping[str, object], other: Mapping[str, object]) -> dict[str, str]:
-    """Names in `one` of the images that `other` has too, and what that calls them: the same, or else the same without
-    the folders, which programs add and leave out."""
+    """Names in `one` of the images that `other` has too, and their names there: the same; or if there are no such
+    names, the same without folders, which some programs add or leave out."""
     if same := {name: name for name in one if name in other}:
         return same
     mine, theirs = _without_folders(one), _without_folders(other)
@@ -88,7 +89,7 @@ def _common(one: Mapping[str, object], other: Mapping[str, object]) -> dict[str,
 
 
 def _without_folders(names: Mapping[str, object]) -> dict[str, str]:
-    """`names` by their ends, those that are the only ones with such an end."""
+    """`names` by their last part (without folders), as far as that is unique."""
     ends = {name: PurePosixPath(name.replace("\\", "/")).name for name in names}
     count = Counter(ends.values())
     return {end: name for name, end in ends.items() if count[end] == 1}

@@ -1,4 +1,4 @@
-"""COLMAP models: where their frames see the ground, and the same model again in metres."""
+"""COLMAP models: reads them, finds where their frames see the ground, and writes them again in metres."""
 
 from __future__ import annotations
 
@@ -46,11 +46,13 @@ if TYPE_CHECKING:
 
     import pycolmap
 
-LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
+LARGEST_COPY = 64 << 20  # [byte] largest file beside the model that is copied; a larger one is data, not settings
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
-FEW_POINTS = 500  # of three views or more, below which those of two are taken as well; chosen by eye, not tuned
-FAR_OFF = 100.0  # extents of the cameras from the origin: maps' coordinates; reconstructions begin among their cameras
-GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit is no accident
+FEW_POINTS = 500  # with fewer points of three views or more, those of two are used, too; chosen by eye, not tuned
+# Cameras this many times their own extent from the origin have map coordinates; a reconstruction's own origin lies
+# among its cameras.
+FAR_OFF = 100.0
+GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit is no coincidence
 OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
@@ -60,10 +62,10 @@ class ColmapSource:
 
     path : what was opened. folder : the model's own folder, at or below it. input_format : 'bin' or 'txt'.
     pictures : the frames that are on disk, in the order of their names.
-    notes : what was chosen or left aside while opening, for the report.
-    unit : what `write` wants and what a scale of this source is measured in.
+    notes : what was chosen or left out while opening, for the report.
+    unit : of a scale of this source, as `write` takes it.
     images, need_images : as given to `open`.
-    cloud : on which the ground is found, beside the sparse points; see `on_cloud`.
+    cloud : dense cloud from which the ground is found, beside the sparse points; see `on_cloud`.
     """
 
     path: Path
@@ -83,12 +85,12 @@ class ColmapSource:
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
         """Open the model at or below `path` (see `colmap_check.open_model`) and find its frames.
 
-        images : the folder that the image names start from; by default `images/` and the like are looked for beside
-            and above the model. need_images : False where detections are given: frames that are not found are then
-            a note, not an error.
+        images : the folder that image names are relative to; by default `images/` and the like are looked for beside
+            and above the model. need_images : False if detections are given: then missing frames are a note, not an
+            error.
 
-        Raises InputError for a missing or damaged model, one that does not agree with itself (`check_consistency`),
-        missing frames, or frames of another size than their camera.
+        Raises InputError for a missing, damaged or inconsistent model (`check_consistency`), missing frames, or frames
+        of another size than their camera.
         """
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
@@ -107,18 +109,18 @@ class ColmapSource:
         return cls(Path(path), *found, images, need_images, _stamps=files.stamps)
 
     def on_cloud(self, cloud: DenseCloud) -> Self:
-        """The same source with the dense `cloud` that its ground is found on. Raises InputError."""
+        """The same source, with its ground found from the dense `cloud`. Raises InputError."""
         return replace(self, cloud=cloud, _stamps=(*self._stamps, *map(Stamp.of, cloud.files)))
 
     def __reduce__(self) -> tuple:
-        """Pickled as its path: pycolmap's models cannot be, and are read again from their files."""
+        """Pickled as its path, since pycolmap's models cannot be pickled: they are read again from their files."""
         images = None if self.images is None else self.images.absolute()
         cloud = None if self.cloud is None else replace(self.cloud, progress=None)
         return _reopened, (type(self), self.path.absolute(), images, self.need_images, cloud, self.notes)
 
     @cached_property
     def ground(self) -> Ground:
-        """The ground under the cameras; raises TooLittleEvidence or InputError where there is none."""
+        """The ground under the cameras. Raises TooLittleEvidence or InputError if none is found."""
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
@@ -126,8 +128,8 @@ class ColmapSource:
         return self._on_cloud(Ground.fit(points, centres), points, centres)
 
     def _on_cloud(self, sparse: Ground, points: np.ndarray, centres: np.ndarray) -> Ground:
-        """The ground under the dense cloud too, where there is one; else, and where one that was not named is damaged
-        or of another reconstruction, the `sparse` one."""
+        """The ground found from the dense cloud as well, if there is one. Without one, and if one that the user did not
+        name is damaged or of another reconstruction, the `sparse` ground."""
         if self.cloud is None:
             return sparse
         try:
@@ -150,7 +152,7 @@ class ColmapSource:
 
     @cached_property
     def gps(self) -> GpsScale:
-        """What the GPS positions of its frames say of its scale."""
+        """The scale by the GPS positions of its frames."""
         return gps_scale(self)
 
     @cached_property
@@ -170,7 +172,7 @@ class ColmapSource:
 
     @property
     def plan(self) -> None:
-        """A model is none."""
+        """None: a model is not a plan."""
         return None
 
     @property
@@ -179,12 +181,12 @@ class ColmapSource:
         return self
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places on the ground's plane [model units] of points (N, 3). Which way north lies is not known."""
+        """(N, 2) places on the ground's plane [model units] of points (N, 3). The direction of north is unknown."""
         return self.ground.plane(place)
 
     def locate(self, point: str) -> Located:
-        """Where the point [model units] lies that ``X,Y,Z``, ``id:123`` (a 3D point) or ``NAME@X,Y`` (what the image
-        shows of the ground at a pixel) means. Raises ValueError, `OffGround`."""
+        """The position [model units] of a point given as ``X,Y,Z``, ``id:123`` (a 3D point) or ``NAME@X,Y`` (the ground
+        at a pixel of an image). Raises ValueError, `OffGround`."""
         if point.startswith("id:"):
             return Located(self.point(int(number(point[3:]))), 0.0, np.zeros(3))
         if "@" not in point:
@@ -199,7 +201,7 @@ class ColmapSource:
 
     @property
     def scaled_already(self) -> str:
-        """That orthoscale wrote this model, whose own file lies in its folder then; empty if it did not."""
+        """Says that orthoscale wrote this model, whose folder then has a file of ours; empty if it did not."""
         return f"orthoscale wrote it: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
 
     @property
@@ -210,12 +212,12 @@ class ColmapSource:
 
     @cached_property
     def _off_origin(self) -> tuple[float, float]:
-        """How far its cameras stand from its origin, and from each other [model units]."""
+        """Distance of its cameras from its origin, and their extent [model units]."""
         centres = np.array([self.centre(name) for name in self.picture_names])
         return float(np.linalg.norm(np.median(centres, axis=0))), float(np.linalg.norm(np.ptp(centres, axis=0)))
 
     def _tell_moved(self, scale: float) -> None:
-        """Say that a model in the coordinates of a map, `scale` times as large about their origin, is elsewhere."""
+        """Note that a model in map coordinates moves when it is scaled by `scale` about their origin."""
         away, extent = self._off_origin
         if away > FAR_OFF * extent > 0:
             moved = f"the copy is {abs(scale - 1) * away:,.0f} m away from its place there"
@@ -238,7 +240,7 @@ class ColmapSource:
         return np.array([p.xyz for p in points]), np.array([p.color for p in points], np.uint8)
 
     def point(self, number: int) -> np.ndarray:
-        """(3,) position of the 3D point with this number [model units]. Raises ValueError where there is none."""
+        """(3,) position of the 3D point with this number [model units]. Raises ValueError if there is none."""
         if number not in self._model.points3D:
             raise ValueError(f"the model has no 3D point {number}")
         return np.array(self._model.points3D[number].xyz)
@@ -266,8 +268,8 @@ class ColmapSource:
 
     def content_hash(self) -> str:
         """SHA-256 in hex over the names and contents of the model's files, and of its dense cloud's, which the scale
-        depends on as well. Raises InputError, also where one was changed since it was opened: it would be the hash of
-        what was not looked at."""
+        depends on as well. Raises InputError, also if a file was changed since it was opened: the hash would be that of
+        data that was not used."""
         require_unchanged(self._stamps)
         found = content_hash([*sorted(self._paths), *(self.cloud.files if self.cloud is not None else ())])
         require_unchanged(self._stamps)
@@ -278,9 +280,9 @@ class ColmapSource:
     ) -> tuple[Views, np.ndarray, np.ndarray]:
         """How the image `name` sees the ground at its pixels `points` (N, 2).
 
-        Returns the `Views` in that camera's coordinates, the ground points (N, 3) in the world's, and (N,) bool whether
+        Returns the `Views` in camera coordinates, the ground points (N, 3) in world coordinates, and (N,) bool whether
         the ray meets known ground at `lowest_elevation` degrees or steeper. Where it is False, the values are finite
-        placeholders. Raises UsageError for an image the model does not have.
+        placeholders. Raises UsageError for an image that the model does not have.
         """
         image = self._image(name)
         points = np.asarray(points, float).reshape(-1, 2)
@@ -298,7 +300,7 @@ class ColmapSource:
         return views, world, ok & (views.elevation >= np.radians(lowest_elevation))
 
     def centre(self, name: str) -> np.ndarray:
-        """(3,) where the camera of the image `name` stands [model units, world]."""
+        """(3,) camera centre of the image `name` [model units, world]."""
         return self._images[name].projection_center()
 
     def rotation(self, name: str) -> np.ndarray:
@@ -311,7 +313,7 @@ class ColmapSource:
         return camera.width, camera.height
 
     def project(self, name: str, world: np.ndarray) -> np.ndarray:
-        """(N, 2) pixels at which the image `name` has the points `world` (N, 3); NaN where it cannot."""
+        """(N, 2) pixels of the points `world` (N, 3) in the image `name`; NaN for points that it cannot show."""
         image = self._images[name]
         pose = image.cam_from_world()
         seen = world @ pose.rotation.matrix().T + pose.translation
@@ -322,16 +324,16 @@ class ColmapSource:
         return pixels
 
     def check_writable(self) -> None:
-        """A model's files all lie in its folder."""
+        """Nothing to check: a model's files all lie in its own folder."""
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the model in metres into the empty `folder`, in the format it came in, with sim3.json and sim3.txt.
+        """Write the model in metres into the empty `folder`, in its input format, with sim3.json and sim3.txt.
 
-        All lengths grow by `metres_per_unit` about the model's origin; nothing is turned or shifted: `Sim3`.
+        All lengths are multiplied by `metres_per_unit` about the model's origin, without rotation or shift (`Sim3`).
         Small files beside the input model are copied along; `notes` says which, and what was left out.
 
         Raises UsageError for a scale that is not positive and finite, InputError for a model that was changed since it
-        was opened, OutputError if what was written does not read back as the scaled model.
+        was opened, OutputError if the written files do not read back as the scaled model.
         """
         sim3 = Sim3(float(metres_per_unit))
         folder = Path(folder)
@@ -349,8 +351,8 @@ class ColmapSource:
     def dense(self) -> Path:
         """The dense workspace that belongs to this model.
 
-        Raises UsageError where there is none, InputError for one whose cameras stand elsewhere, since it was made from
-        another model, or that has none.
+        Raises UsageError if there is none, InputError for one without cameras, or whose cameras stand elsewhere because
+        it was made from another model.
         """
         folder = find_dense(self.folder)
         if folder is None:
@@ -377,11 +379,11 @@ class ColmapSource:
         return folder
 
     def _apart(self, cameras: Mapping[str, np.ndarray]) -> list[float]:
-        """How far the cameras of this model stand from those of the same names."""
+        """Distances between the cameras of this model and `cameras` of the same names."""
         return [float(np.linalg.norm(self.centre(name) - cameras[name])) for name in self._images if name in cameras]
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
+        """Write the dense workspace in metres into the empty `folder`. Raises what `dense` raises."""
         self.notes.extend(informing(scale_workspace(self.dense, folder, metres_per_unit)))
 
     def _copy_rest(self, folder: Path) -> list[str]:
@@ -389,9 +391,9 @@ class ColmapSource:
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
-            if path.is_symlink():  # what it leads to was not handed over with the model
+            if path.is_symlink():  # its target is not part of the model
                 links.append(path.name)
-            elif has_lengths(path) or path.stat().st_size > LARGEST_COPY:  # a copy would pass for one in metres
+            elif has_lengths(path) or path.stat().st_size > LARGEST_COPY:  # a copy would seem to be in metres
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)
@@ -416,8 +418,8 @@ def scale_model(
 ) -> None:
     """Write the sparse model in the folder `source` into the empty folder `target` in metres.
 
-    metric : cameras [m] of the model that the scale is of. Raises InputError, UsageError for a model that is in metres
-    already, and for another one: its cameras of the same names stand elsewhere.
+    metric : cameras [m] of the model for which the scale was measured. Raises InputError; UsageError for a model that
+    is in metres already, and for another model, whose cameras of the same names stand elsewhere.
     """
     model = ColmapSource.open(source, need_images=False)
     if model.scaled_already:
@@ -429,7 +431,7 @@ def scale_model(
 def scale_workspace(
     source: Path, target: Path, scale: float, metric: Mapping[str, np.ndarray] = MappingProxyType({})
 ) -> list[str]:
-    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say.
+    """Write the dense workspace `source` into the empty folder `target` in metres; returns notes for the report.
     metric : as for `scale_model`."""
     return scale_dense(
         source, target, scale, lambda a, b: scale_model(a, b, scale, metric), lambda a, b: reason_left(a, b, scale)

@@ -1,4 +1,4 @@
-"""Checks the binary files of a COLMAP model: every count is compared with what is left of the file."""
+"""Reads and checks the binary files of a COLMAP model: every count is compared with what is left of the file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .colmap_tables import (
 
 
 class _Bytes:
-    """A binary file read front to back, never past its end and always to its end."""
+    """A binary file that is read from front to back, never past its end and always to its end."""
 
     def __init__(self, path: Path):
         self.path, self.at = path, 0
@@ -80,7 +80,7 @@ _POINT = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error",
 
 
 def read_binary(paths: dict[str, Path]) -> Tables:
-    """The tables of the .bin files at `paths`, each walked to its end. Raises InputError."""
+    """The tables of the .bin files at `paths`, each read to its end. Raises InputError."""
     tables = Tables(paths=paths)
     readers = {
         "cameras": _binary_cameras,
@@ -132,7 +132,7 @@ def _binary_points(file: _Bytes, tables: Tables) -> None:
             file.at = int(starts[k])
             raise damaged(file.where, f"file ends ({size} bytes) within the record of point {k + 1} of {count}")
     file.at = at
-    # Records differ in length: their heads are told from their tracks by a running sum that is 1 inside the heads.
+    # Records differ in length: a running sum that is 1 inside their heads separates these from the tracks.
     inside = np.zeros(size + 1, np.int8)
     inside[starts] += 1
     inside[starts + head] -= 1

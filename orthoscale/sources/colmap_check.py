@@ -1,6 +1,6 @@
 """Finds a COLMAP model and checks its files before pycolmap reads them.
 
-pycolmap trusts what it reads: a false count takes all memory, a NaN pose loads as valid, random bytes hang it. Here
+pycolmap trusts what it reads: a wrong count takes all memory, a NaN pose loads as valid, random bytes hang it. Here
 every count is compared with the file's size, every number must be finite, and every reference must exist.
 """
 
@@ -42,12 +42,12 @@ FARTHEST = 1e12  # [units] nothing on Earth is so far, not even in millimetres
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """A COLMAP model on disk whose files have been walked and found whole.
+    """A COLMAP model on disk whose files have been checked and are sound.
 
-    folder : where it lies. format : 'bin' or 'txt'. paths : the files that make it up. stamps : theirs, before they
-    were read.
-    seen : some of what its images saw. parts : numbers of images in parts that share no point, of two images or more.
-    notes : what was chosen or left aside on the way, for the report.
+    folder : where it lies. format : 'bin' or 'txt'. paths : its files. stamps : of these, before they were read.
+    seen : a sample of the images' observations. parts : numbers of images in parts of the model that share no point
+    with the rest, of two images or more.
+    notes : what was chosen or left out on the way, for the report.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ def open_model(path: Path) -> ModelFiles:
 
 
 def check_model(folder: Path, form: str) -> None:
-    """Walk the files of the model in `folder` of the format `form` ('bin' or 'txt'); raises as `open_model`."""
+    """Check the files of the model in `folder` of the format `form` ('bin' or 'txt'); raises as `open_model`."""
     _check(_READERS[form](_paths(folder, form)))
 
 
@@ -86,7 +86,7 @@ def check_model(folder: Path, form: str) -> None:
 def model_folders(path: Path) -> list[Path]:
     """The folders of all models at or below `path`, as COLMAP's mapper leaves them: ``sparse/0``, ``sparse/1`` ...
 
-    `path` is as in `open_model`. Raises InputError where there is none; the files are not looked into.
+    `path` is as in `open_model`. Raises InputError if there is none. The files are not read.
     """
     path = Path(path)
     if not path.exists():
@@ -139,7 +139,7 @@ def _numbered(folder: Path) -> list[Path]:
 
 
 def _image_count(folder: Path) -> int:
-    """How many images the model claims: good enough to choose between models, checked afterwards."""
+    """Number of images that the files announce. It serves to choose between models, and is checked only afterwards."""
     binary, text = folder / "images.bin", folder / "images.txt"
     if binary.is_file():
         with binary.open("rb") as file:
@@ -179,7 +179,7 @@ def _choose_format(folder: Path) -> tuple[str, list[str]]:
         ] if stray else []
     if missing["txt"]:
         return "bin", []
-    # COLMAP reads .bin and never looks at .txt beside it. File dates prove nothing after a copy: contents must agree.
+    # COLMAP reads .bin and ignores .txt beside it. File dates prove nothing after a copy, so contents must agree.
     if _poses(read_binary(_paths(folder, "bin"))) != _poses(read_text(_paths(folder, "txt"))):
         raise InputError(
             f"{folder} holds two different models, one in .bin and one in .txt files",
@@ -195,11 +195,11 @@ def _poses(tables: Tables) -> dict[str, tuple[float, ...]]:
 _READERS = {"bin": read_binary, "txt": read_text}
 
 
-# --- Does it make sense ----------------------------------------------------------------------------------------------
+# --- Checks of values and references ---------------------------------------------------------------------------------
 
 
 def _check(tables: Tables) -> None:
-    """Raise InputError for values and references that cannot be meant; the first one found."""
+    """Raise InputError for the first value or reference that cannot be right."""
     _check_cameras(tables)
     _check_images(tables)
     _check_points(tables)
@@ -299,7 +299,7 @@ def _check_points(tables: Tables) -> None:
 
 
 def _seen(tables: Tables) -> Observations:
-    """Some of what the images of sound `tables` saw."""
+    """A sample of the observations in checked `tables`."""
     points = tables.points
     order = np.argsort(points.ids)
     known = points.ids[order]
@@ -315,8 +315,8 @@ def _seen(tables: Tables) -> Observations:
 
 
 def _parts(tables: Tables) -> tuple[int, ...]:
-    """How many images are in each part of a model that shares no point with the others, the largest first; images that
-    share none with any other are left aside."""
+    """Numbers of images in the parts of a model that share no point with each other, the largest first. Images that
+    share no point with any other are left out."""
     count, points = len(tables.images), tables.points
     ids = np.array([image.id for image in tables.images])
     order = np.argsort(ids)
@@ -369,7 +369,7 @@ def _check_rigs(tables: Tables, rigs: dict[int, RigRow], frames: dict[int, Frame
 
 
 def _check_agreement(images: list[ImageRow], poses: np.ndarray) -> None:
-    """Poses are written twice, by image and by frame; pycolmap takes the frames'. Both must say the same."""
+    """Poses are stored twice, by image and by frame, and pycolmap uses the frames'. Raise InputError if they differ."""
     own = np.array([image.pose for image in images])
     sensor, rig, camera = (Rotation.from_quat(pose[:, [1, 2, 3, 0]]) for pose in (poses[:, 0], poses[:, 1], own))
     turn = ((sensor * rig).inv() * camera).magnitude()

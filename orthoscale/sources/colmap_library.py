@@ -1,4 +1,4 @@
-"""Imports pycolmap, in one place, such that its logging does not take over SIGTERM (to print a stack and die)."""
+"""Imports pycolmap in one place, so that its logging does not take over SIGTERM (to print a stack trace and die)."""
 
 from __future__ import annotations
 

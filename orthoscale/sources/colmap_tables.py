@@ -1,4 +1,4 @@
-"""The content of the files of a COLMAP model as plain values, and the messages for damaged ones."""
+"""The content of the files of a COLMAP model as plain values, and the errors for damaged files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 
-NO_POINT = 2**64 - 1  # the point of an observation that has none
+NO_POINT = 2**64 - 1  # the point id of an observation without a point
 CAMERA_SENSOR = 0  # a type of sensor
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # a pose, qw qx qy qz tx ty tz
 TABLES = ("cameras", "images", "points3D")
@@ -41,14 +41,14 @@ NOT_UTF8_HINT = (
     "Names with letters beyond ASCII that an older Windows program wrote are so: give the images plain names and "
     "reconstruct again. Else the file is damaged: copy the model again."
 )
-SPHERICAL = ("EQUIRECTANGULAR", "equirectangular", "spherical")  # as COLMAP and nerfstudio, and OpenSfM call it
+SPHERICAL = ("EQUIRECTANGULAR", "equirectangular", "spherical")  # names in COLMAP and nerfstudio, and in OpenSfM
 CUT_VIEWS = "Cut perspective views out of the panoramas first."
 WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
 
 
 @dataclass(frozen=True)
 class CameraRow:
-    """One line of cameras: where it stands, its model's id, its size [px], its parameters as COLMAP orders them."""
+    """One camera: its place in the file, its model's id, its size [px], its parameters in COLMAP's order."""
 
     where: str
     model: int
@@ -59,7 +59,7 @@ class CameraRow:
 
 @dataclass(frozen=True)
 class ImageRow:
-    """A registered image and what it saw; the pose is that of the world in its camera."""
+    """A registered image and its observations; the pose is camera_from_world. where : its place in the file."""
 
     where: str
     id: int
@@ -83,7 +83,7 @@ class Points:
 
 @dataclass(frozen=True)
 class RigRow:
-    """Sensors that are mounted together, each with its pose in the rig; the reference has none."""
+    """Sensors that are mounted together, each with its pose in the rig; the reference sensor has none."""
 
     where: str
     sensors: list[tuple[int, int, tuple[float, ...]]]  # type, id, pose or ()
@@ -91,7 +91,7 @@ class RigRow:
 
 @dataclass(frozen=True)
 class FrameRow:
-    """Where a rig stood once, and what its sensors took there."""
+    """One pose of a rig, and the data that its sensors recorded there."""
 
     where: str
     rig: int
@@ -101,7 +101,7 @@ class FrameRow:
 
 @dataclass
 class Tables:
-    """A model as its files have it, before anything is made of it. paths : the files, by table."""
+    """A model's data as they stand in its files, unprocessed. paths : the files, by table."""
 
     cameras: dict[int, CameraRow] = field(default_factory=dict)
     images: list[ImageRow] = field(default_factory=list)
@@ -112,19 +112,19 @@ class Tables:
 
 
 def damaged(where: str, what: str, hint: str = WRITE_ANEW) -> InputError:
-    """The error that `what` is wrong at `where`, a file and a place in it."""
+    """The error that says `what` is wrong, and `where`: a file and a place in it."""
     return InputError(f"{where}: {what}", hint)
 
 
 def add(table: dict, key: int, value: object, where: str, kind: str) -> None:
-    """Put the `kind` of thing with the id `key` into `table`. Raises InputError where it is there already."""
+    """Put `value`, a `kind` with the id `key`, into `table`. Raises InputError if the id is there already."""
     if key in table:
         raise damaged(where, f"{kind} {key} appears twice")
     table[key] = value
 
 
 def unknown_camera(where: str, camera: int, model: object) -> InputError:
-    """The error for a camera whose model, an id or a name, is none of `CAMERA_MODELS`."""
+    """The error for a camera whose model (an id or a name) is not among `CAMERA_MODELS`."""
     if model == 17 or model in SPHERICAL:
         return damaged(where, f"camera {camera} is spherical (EQUIRECTANGULAR)", CUT_VIEWS)
     return damaged(where, f"camera {camera} has the unknown model {model}")

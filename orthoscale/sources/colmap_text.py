@@ -1,4 +1,4 @@
-"""Checks the text files of a COLMAP model, line by line."""
+"""Reads and checks the text files of a COLMAP model, line by line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .colmap_tables import (
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    """All lines of a text file, stripped, each with where it is."""
+    """All lines of a text file, stripped, each after its place (file and line number)."""
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, 1):

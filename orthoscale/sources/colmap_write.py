@@ -14,13 +14,13 @@ from .colmap_check import check_model
 if TYPE_CHECKING:
     import pycolmap
 
-POSITION = 1e-9  # of the model's size: what rounding may move a point or a camera
-REPROJECTION = 1e-9  # [px] what the rounding of a well-placed model may move a projection
-ROUNDINGS = 64  # machine epsilons of a coordinate that the way from file to pixel may add up to
+POSITION = 1e-9  # how far rounding may move a point or a camera, as a share of the model's size
+REPROJECTION = 1e-9  # [px] how far rounding may move a projection in a model near its origin
+ROUNDINGS = 64  # rounding error from file to pixel, at most, in machine epsilons of the coordinates
 
 
 def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
-    """The model in `folder` of the format `form` ('bin' or 'txt'), whose files have been walked before.
+    """The model in `folder` of the format `form` ('bin' or 'txt'), whose files have been checked before.
 
     Raises InputError for one that pycolmap cannot read or that has no registered image.
     """
@@ -29,7 +29,7 @@ def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
     model = pycolmap.Reconstruction()
     try:
         model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
-    except Exception as error:  # whatever its C++ and the bindings throw
+    except Exception as error:  # whatever its C++ code and the bindings throw
         raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
     if not model.num_reg_images():
         raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
@@ -52,8 +52,8 @@ def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
 def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder: Path, scale: float) -> None:
     """Write the model in `source`, which was read as `model`, into the empty `folder` with all lengths times `scale`.
 
-    Raises InputError if `source` has changed since, OutputError if what was written does not read back as `model` in
-    metres: the same cameras, tracks and observations, positions to 1e-9, and projections to 1e-9 px, all of them.
+    Raises InputError if `source` has changed since, OutputError if the written files do not read back as `model` in
+    metres: the same cameras, tracks and observations, all positions to 1e-9 and all projections to 1e-9 px.
     """
     from .colmap_library import pycolmap
 
@@ -95,7 +95,7 @@ def difference(
         if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
             return f"camera {number} has other parameters"
 
-    # Of sensors that took none of the images too, whose places no camera shows.
+    # This includes sensors without images, whose positions cannot be checked by cameras.
     places, new_places = (_sensor_places(m) for m in (model, written))
     if places.keys() != new_places.keys():
         return "rigs have other sensors"
@@ -129,7 +129,7 @@ def difference(
 
 
 def _sensor_places(model: pycolmap.Reconstruction) -> dict[tuple[int, str, int], np.ndarray]:
-    """(3,) translations of the sensors in their rigs, by rig, kind and number, where they are known."""
+    """(3,) translations of the sensors in their rigs, by rig, kind and number, as far as known."""
     return {
         (number, sensor.type.name, sensor.id): pose.translation
         for number, rig in model.rigs.items()
@@ -139,7 +139,8 @@ def _sensor_places(model: pycolmap.Reconstruction) -> dict[tuple[int, str, int],
 
 
 def _reprojection(before: pycolmap.Image, after: pycolmap.Image, points: np.ndarray, scale: float) -> str:
-    """Whether `points` (K, 3), in the old unit, are projected elsewhere by `after` than by `before`."""
+    """What is wrong, in words, if `after` projects `points` (K, 3) [old model units] elsewhere than `before`; empty if
+    nothing is."""
     if not len(points):
         return ""
     camera, old, new = before.camera, before.cam_from_world(), after.cam_from_world()
@@ -151,10 +152,10 @@ def _reprojection(before: pycolmap.Image, after: pycolmap.Image, points: np.ndar
         return f"a point went behind image {before.name}"
     first, second = (np.array(camera.img_from_cam(p[ahead]), float).reshape(-1, 2) for p in (there, then))
     move = np.abs(first - second).max(1)
-    # Far from the origin (geo-coordinates) rounding alone moves a projection.
+    # Far from the origin (map coordinates) rounding alone moves a projection.
     reach = np.abs(points[ahead]).max(1) + np.abs(old.translation).max()
     rounding = ROUNDINGS * np.finfo(float).eps * reach / there[ahead, 2] * camera.mean_focal_length()
     excess = move - (REPROJECTION + rounding)
-    if (excess > 0).any():  # NaN, where a lens has no image of a point, is none
+    if (excess > 0).any():  # not for NaN, where a lens has no image of a point
         return f"image {before.name}: a point is projected {move[excess.argmax()]:.3g} px elsewhere"
     return ""

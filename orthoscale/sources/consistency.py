@@ -1,4 +1,4 @@
-"""Whether a reconstruction is consistent: the reprojection errors of its points.
+"""Checks by the reprojection errors of its points whether a reconstruction is consistent.
 
 In an adjusted model points project within a pixel or two of their observations. With a damaged focal length, pose or
 point, or with files of two models in one folder, they do not; vehicles would then be measured in a wrong model.
@@ -18,20 +18,24 @@ from ..errors import InputError
 if TYPE_CHECKING:
     import pycolmap
 
-SAMPLE = 50_000  # observations that are looked at, spread over the images
-LEAST_EACH = 30  # of them in every image that has so many
-LEAST_OBSERVATIONS = 8  # observations from which an image can be judged
-# COLMAP's mapper drops observations that are more than 4 px off (filter_max_reproj_error), OpenSfM those over 0.006 of
-# the longer side (bundle_outlier_fixed_threshold). An image is off when half of what it saw is twice as far away; in a
-# picture of many pixels, when it is besides so much worse than the others.
+SAMPLE = 50_000  # observations that are checked, spread over the images
+LEAST_EACH = 30  # of them in each image that has so many
+LEAST_OBSERVATIONS = 8  # observations that an image needs to be judged
+# COLMAP's mapper drops observations with an error over 4 px (filter_max_reproj_error), OpenSfM those over 0.006 of the
+# longer side (bundle_outlier_fixed_threshold). An image is off if its median error is twice as large; in an image with
+# many pixels only if it is also OFF_OTHERS times that of the other images.
 OFF_PX, OFF_SHARE, OFF_OTHERS = 8.0, 0.012, 20.0
-OFF_MOST, OFF_FAR = 0.25, 3.0  # share of all observations that may be so many limits off; a mapper keeps hardly any
-# Adjusted images have no radial remainder: a longer focal length or a nearer camera would take it away. Four real
-# models have 0.03 % in their worst image. A focal length that is 2 % off makes the scale 2 % wrong.
+# Share of all observations whose error may exceed the limit by the factor OFF_FAR; a mapper keeps hardly any.
+OFF_MOST, OFF_FAR = 0.25, 3.0
+# Largest systematic radial error of a camera's projections; observations that it takes to judge; and their distance
+# from the principal point, at least, as a share of the longer side. Adjusted images have no such error, since a longer
+# focal length or a nearer camera would remove it: four real models have 0.03 % in their worst image. A focal length
+# that is 2 % off makes the scale 2 % wrong.
 RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
-# Of the distance to the points. COLMAP keeps no points that are seen under less than 1.5 degrees, 0.026 of it.
+# Extent of the cameras, as a share of the distance to the points, below which they stand in one place. COLMAP keeps no
+# points with a triangulation angle under 1.5 degrees, which is 0.026 of the distance.
 ONE_PLACE = 0.01
-ONE_LINE = 0.01  # of the line's length: how far its cameras may stand beside it
+ONE_LINE = 0.01  # how far cameras on one line may stand beside it, as a share of its length
 MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
@@ -39,10 +43,10 @@ MIXED_UP_HINT = (
 
 @dataclass(frozen=True)
 class Observations:
-    """Some of what the images of a reconstruction saw, N in all.
+    """A sample of the observations of a reconstruction's images, N in all.
 
-    names : of the images. image : (N,) which of them. pixels : (N, 2) where, from the outer corner of the first pixel.
-    points : (N, 3) what was seen there, in the world [model units].
+    names : of the images. image : (N,) index into them. pixels : (N, 2) where the points were seen, from the outer
+    corner of the first pixel. points : (N, 3) their positions in the world [model units].
     """
 
     names: tuple[str, ...]
@@ -52,17 +56,17 @@ class Observations:
 
 
 def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
-    """Which observations to look at, of images that have `counts` of them; the same for the same counts."""
+    """Indices of the observations to check, of images that have `counts` of them. Deterministic."""
     random = np.random.default_rng(0)
     most = max(LEAST_EACH, SAMPLE // max(len(counts), 1))
     return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
 
 
 def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[Remark]:
-    """Hold `model`, which lies at `where`, against what its images saw; returns what its user should know.
+    """Compare `model`, which lies at `where`, with the observations of its images; returns remarks for the user.
 
-    Raises InputError, naming cameras or images and how far they are off, for a model that does not reproject, and for
-    one whose cameras all stand in one place.
+    Raises InputError, naming cameras or images and their errors, for a model whose points project elsewhere than they
+    were seen, and for one whose cameras all stand in one place.
     """
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     centres = np.array([image.projection_center() for image in images.values()])
@@ -82,7 +86,7 @@ def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Obser
 def _check_projections(
     where: object, model: pycolmap.Reconstruction, images: Sequence[pycolmap.Image], seen: Observations
 ) -> None:
-    """Raise InputError where the points of `seen` are projected elsewhere by its `images`."""
+    """Raise InputError if the `images` project the points of `seen` elsewhere than they were seen."""
     camera_of = np.array([image.camera_id for image in images])
     size = np.array([(model.camera(c).width, model.camera(c).height) for c in camera_of], float)
     projected = _projected(model, images, camera_of, seen)
@@ -90,7 +94,7 @@ def _check_projections(
     error[~np.isfinite(error)] = np.inf  # behind the camera, or where its lens has no image
     side = size.max(1)
     beyond = np.maximum(-seen.pixels, seen.pixels - size[seen.image]).max(1)
-    error[beyond > np.maximum(OFF_PX, OFF_SHARE * side)[seen.image]] = np.inf  # not in a picture of this size
+    error[beyond > np.maximum(OFF_PX, OFF_SHARE * side)[seen.image]] = np.inf  # outside of a picture of this size
 
     order = np.argsort(seen.image, kind="stable")
     each = np.split(error[order], np.searchsorted(seen.image[order], np.arange(1, len(images))))
@@ -120,7 +124,7 @@ def _check_projections(
 def _projected(
     model: pycolmap.Reconstruction, images: Sequence[pycolmap.Image], camera_of: np.ndarray, seen: Observations
 ) -> np.ndarray:
-    """(N, 2) pixels at which the cameras have the points, NaN where they cannot."""
+    """(N, 2) pixels to which the images project the points, NaN where they cannot."""
     poses = [image.cam_from_world() for image in images]
     rotation = np.array([pose.rotation.matrix() for pose in poses])
     translation = np.array([pose.translation for pose in poses])
@@ -158,7 +162,7 @@ def _off(
     judged: np.ndarray,
     middle: np.ndarray,
 ) -> InputError:
-    """Names the cameras most of whose images are off; images, where it is only some of a camera's."""
+    """The error that names the cameras most of whose images are off; or the images, if only some of a camera's are."""
     whole = [c for c in np.unique(camera_of[off]) if 2 * off[camera_of == c].sum() > judged[camera_of == c].sum() > 1]
     mine = off & np.isin(camera_of, whole) if whole else off
     first = names[int(np.argmax(mine))]
@@ -174,7 +178,8 @@ def _off(
 
 
 def _check_places(where: object, centres: np.ndarray, distance: float) -> list[Remark]:
-    """Whether the cameras at `centres` (C, 3), `distance` from what they see, stand where a scene can be measured."""
+    """Remarks on whether the positions of cameras at `centres` (C, 3), at `distance` from what they see, suffice to
+    measure a scene. Raises InputError if all stand in one place."""
     if len(centres) < 2:
         return []
     offset = centres - centres.mean(0)
@@ -193,7 +198,7 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[R
 
 
 def observations(names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]]) -> Observations:
-    """Of pairs of pixels (K, 2) and points (K, 3), one for each of the images `names`."""
+    """Observations from pairs of pixels (K, 2) and points (K, 3), one pair for each of the images `names`."""
     pairs = list(seen)
     counts = [len(pixels) for pixels, _ in pairs]
     return Observations(

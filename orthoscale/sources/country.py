@@ -1,4 +1,4 @@
-"""The country whose vehicles and standards apply to an input: of the named fleet, or else by its place."""
+"""The country whose vehicles and standards apply to an input: that of the named fleet, else the one where it lies."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from ..core.calibration import Calibration
     from .location import Location
 
-UNIONS = {"EU"}  # codes of fleets that are no country's
+UNIONS = {"EU"}  # two-letter codes of fleets that are not of one country
 
 
 def named_fleet(name: str | Path | None, known: Calibration | None) -> Fleet | None:
-    """The fleet that was named, else the calibration's own; None without either. Raises UsageError, InputError."""
+    """The fleet that the user named, else the calibration's; None without either. Raises UsageError, InputError."""
     return local_fleet(known) if name is None else load_fleet(name)
 
 
 def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
-    """The fleet of the country at `location`, else the world's; with what the user should know of the choice."""
+    """The fleet of the country at `location`, else the world's; and notes on this choice for the user."""
     if location is None:
         return load_fleet("world"), ()
     code = country_at(location.longitude, location.latitude)
@@ -34,8 +34,8 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
 
 
 def country_of(source: Source, fleet: Fleet | None) -> str:
-    """ISO code of the country whose standards hold in `source`: that of its `fleet`, else where it lies; empty where
-    neither says."""
+    """ISO code of the country whose standards apply in `source`: that of its `fleet`, else the one where it lies; empty
+    if neither is known."""
     from .location import location_of
 
     code = "" if fleet is None else fleet.country

@@ -19,16 +19,16 @@ from ..system.paths import homes
 from .colmap_check import open_model
 from .colmap_write import read_model
 
-MOST_DENSE_POINTS = 10_000_000  # that are looked at; more make the ground no better known
+MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any better
 FUSED_CLOUD = "fused.ply"
-# Where other programs write clouds in the coordinates of their reconstruction, from the folder of its file.
+# Where other programs write clouds in the coordinates of their reconstruction, relative to the folder of its file.
 CLOUD_PLACES = (
     "../odm_filterpoints/point_cloud.ply",  # ODM, whose reconstruction.json lies in opensfm/
     "odm_filterpoints/point_cloud.ply",
     "undistorted/openmvs/scene_dense.ply",
     "undistorted/depthmaps/merged.ply",  # OpenSfM
 )
-# ODM's cloud on the map: turned and shifted from the reconstruction's coordinates, by a projection of the Earth.
+# ODM's clouds in map coordinates, which are turned and shifted against the reconstruction's.
 CLOUDS_ON_THE_MAP = tuple(f"odm_georeferencing/odm_georeferenced_model.{ending}" for ending in ("laz", "las", "ply"))
 
 
@@ -36,8 +36,8 @@ CLOUDS_ON_THE_MAP = tuple(f"odm_georeferencing/odm_georeferenced_model.{ending}"
 class DenseCloud:
     """A dense point cloud, or COLMAP's depth maps, in the coordinates of a reconstruction.
 
-    path : a PLY file, or a dense workspace of COLMAP. named : whether the user said that it is of the reconstruction.
-    progress : told how far it was read.
+    path : a PLY file, or a dense workspace of COLMAP. named : whether the user named it, rather than it being found.
+    progress : called while it is read.
     """
 
     path: Path
@@ -46,20 +46,20 @@ class DenseCloud:
 
     @property
     def what(self) -> str:
-        """What it is called in a sentence."""
+        """What to call it in a sentence."""
         return f"the cloud of the depth maps in {self.path}" if self.path.is_dir() else f"the dense cloud {self.path}"
 
     @property
     def files(self) -> list[Path]:
-        """The files that its points are read from: the cloud; or the depth maps and the tables of their cameras."""
+        """The files that its points are read from: the cloud; or the depth maps and the model with their cameras."""
         if not self.path.is_dir():
             return [self.path]
         cameras = [path for folder in sparse_folders(self.path)[:1] for path in sorted(folder.iterdir())]
         return [*_depth_maps(self.path), *(path for path in cameras if path.is_file())]
 
     def blocks(self) -> Iterator[np.ndarray]:
-        """(N, 3) points [model units, world] in pieces, about MOST_DENSE_POINTS in all at most. Raises InputError for
-        what is damaged or cut off."""
+        """(N, 3) points [model units, world] in pieces, about MOST_DENSE_POINTS in all at most. Raises InputError for a
+        damaged or truncated file."""
         return _of_depth_maps(self.path, self._told) if self.path.is_dir() else self._of_file()
 
     def _of_file(self) -> Iterator[np.ndarray]:
@@ -74,8 +74,9 @@ class DenseCloud:
 
 
 def find_cloud(folder: Path, progress: Progress | None = None) -> tuple[DenseCloud | None, list[Remark]]:
-    """The dense cloud that belongs to the reconstruction in `folder`, if one lies where programs put it; else COLMAP's
-    depth maps. Whether its points lie on the reconstruction's is not asked. And what there is to say of others."""
+    """The dense cloud that belongs to the reconstruction in `folder`, if one lies where programs put it, else COLMAP's
+    depth maps; and remarks on clouds that cannot be used. Whether it really fits the reconstruction is not checked
+    here."""
     workspace = find_dense(folder)
     files = [workspace / FUSED_CLOUD] if workspace else []
     for home in homes(folder):
@@ -98,7 +99,7 @@ def find_cloud(folder: Path, progress: Progress | None = None) -> tuple[DenseClo
 
 
 def cloud_at(path: Path, progress: Progress | None = None) -> DenseCloud:
-    """The cloud or dense workspace that the user named. Raises InputError for what is neither."""
+    """The cloud or dense workspace that the user named. Raises InputError if `path` is neither."""
     if path.is_dir():
         fused = path / FUSED_CLOUD
         if not fused.is_file() and not _depth_maps(path):
@@ -115,7 +116,7 @@ def cloud_at(path: Path, progress: Progress | None = None) -> DenseCloud:
 
 
 def _depth_maps(workspace: Path) -> list[Path]:
-    """The depth maps of a workspace: those that other views confirmed, where there are any."""
+    """The depth maps of a workspace: if there are any that other views confirmed (geometric), only these."""
     folder = workspace / "stereo" / "depth_maps"
     for kind in DEPTH_KINDS:
         if maps := sorted(folder.rglob("*" + kind)):
@@ -124,7 +125,7 @@ def _depth_maps(workspace: Path) -> list[Path]:
 
 
 def _of_depth_maps(workspace: Path, told: Callable[[int, int], None]) -> Iterator[np.ndarray]:
-    """Blocks (N, 3) of the points that depth maps show [world], by the undistorted cameras of their workspace."""
+    """Blocks (N, 3) of the points of depth maps [model units, world], by the undistorted cameras of their workspace."""
     maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
     if not sparse:
         raise InputError(
@@ -144,7 +145,7 @@ def _of_depth_maps(workspace: Path, told: Callable[[int, int], None]) -> Iterato
         row, column = (axis.ravel() for axis in np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step])
         z = depth[row, column].astype(float)
         seen = np.isfinite(z) & (z > 0)
-        # patch_match_stereo may make maps smaller than their images.
+        # patch_match_stereo may make depth maps smaller than their images.
         pixels = np.column_stack([column[seen], row[seen]]) + 0.5
         pixels *= np.array([camera.width, camera.height]) / depth.shape[::-1]
         pose = images[name].cam_from_world()

@@ -14,30 +14,31 @@ import numpy as np
 from ..errors import InputError
 from .ground import Ground
 
-# In heights of the cameras over the ground: the side of a cell, 2 m at 70 m; the thickness of a layer of its histogram;
-# how many of those make a level, 0.4 m at 70 m, several times the noise of a dense cloud and less than a bonnet's
-# height; and where the ground is looked for, relative to the sheet under the sparse points, which may lie on crowns.
+# In camera heights over the ground: the side of a cell (2 m at 70 m); and the thickness of a layer of its histogram. A
+# level is LEVEL_LAYERS thick: 0.4 m at 70 m, several times the noise of a dense cloud and less than a bonnet's height.
 CELL_SIDE, LAYER_HEIGHT, LEVEL_LAYERS = 0.03, 0.001, 6
+# Where the ground is looked for, in camera heights from the sheet of the sparse points, which may lie on tree crowns.
 LOWEST_LAYER, HIGHEST_LAYER = -0.25, 0.08
 LAYERS_OF_CELL = round((HIGHEST_LAYER - LOWEST_LAYER) / LAYER_HEIGHT)
-MOST_DENSE_CELLS = 40_000  # 53 MB of counts; beyond, cells are wider
-# A level is made by a tenth of a cell's points and three of them, as in the sheet's own first step; cells of fewer than
-# FEWEST_IN_CELL points are none.
+MOST_DENSE_CELLS = 40_000  # 53 MB of counts; for a larger area cells are wider
+# A level needs a tenth of a cell's points, and at least three, as in the first step of the sheet; a cell with fewer
+# than FEWEST_IN_CELL points has none.
 LEVEL_SHARE, LEVEL_LEAST, FEWEST_IN_CELL = 0.1, 3, 5
-# A cloud lies on a reconstruction where most of the sparse points that it could show are so near to it, in layers; such
-# a cloud covers a fifth of them at least, and its levels are as high as they are to one percent of the cameras' height.
+# A cloud fits a reconstruction if most (MOST_NEAR) of the sparse points that it covers have points of it within
+# NEAR_LAYERS layers, if it covers a fifth of them at least, and if its levels are at their height to within one percent
+# of the cameras' height.
 NEAR_LAYERS, MOST_NEAR, COVERED_SHARE, FEWEST_COVERED, LEVELS_APART = 10, 0.5, 0.2, 20, 0.01
-# What a dense cloud errs by smoothly, in heights of the cameras: a pixel at a focal length of 1000.
+# Smooth error of a dense cloud (one sigma), in camera heights: that of one pixel at a focal length of 1000 px.
 SMOOTH_SD = 0.001
 NOT_ITS_OWN = "It may be of another run, or in other coordinates or metres already: name its own with --ground-cloud."
 
 
 def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks: Iterable[np.ndarray]) -> Ground:
-    """The ground under a dense cloud, and under the sparse points where that has none.
+    """The ground found from a dense cloud, and from the sparse points where the cloud has none.
 
-    sparse : the ground under the sparse `points` (M, 3), seen from `centres` (C, 3). blocks : the cloud, (N, 3) each;
-    all in model units, world. Raises InputError for a cloud that does not lie on the sparse points, and what `blocks`
-    raises.
+    sparse : the ground found from the sparse `points` (M, 3), seen from `centres` (C, 3). blocks : the cloud, (N, 3)
+    each; all in model units, world. Raises InputError for a cloud that does not fit the sparse points, and what
+    `blocks` raises.
     """
     grid = _LayerCounts(sparse, points)
     for block in blocks:
@@ -51,10 +52,10 @@ def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks
 
 
 class _LayerCounts:
-    """How many points lie in each layer of each cell over the plane of a `Ground`, relative to its sheet."""
+    """Counts of points in layers parallel to the sheet of a `Ground`, for each cell of a grid on its plane."""
 
     def __init__(self, ground: Ground, points: np.ndarray) -> None:
-        """ground, points : the sparse ones, whose extent is the grid's."""
+        """ground, points : from the sparse points, whose extent is the grid's."""
         self.ground, height = ground, ground.camera_height
         plane = ground.plane(points)
         self.low, high = np.percentile(plane, [1, 99], axis=0)
@@ -68,7 +69,7 @@ class _LayerCounts:
         self.count = np.zeros((len(self.base), LAYERS_OF_CELL), np.int32)
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(N,) cell, layer and whether they are any of the grid's, of points (N, 3)."""
+        """(N,) cell and layer of points (N, 3), and whether they are in the grid."""
         column = np.floor((self.ground.plane(points) - self.low) / self.side).astype(np.int64)
         inside = ((column >= 0) & (column < self.shape)).all(1)
         cell = np.where(inside, column[:, 0] * self.shape[1] + column[:, 1], 0)
@@ -81,14 +82,14 @@ class _LayerCounts:
         np.add.at(self.count.ravel(), cell[inside] * LAYERS_OF_CELL + layer[inside], 1)
 
     def levels(self) -> tuple[np.ndarray, np.ndarray]:
-        """(cells,) the lowest level of each cell [layers, from LOWEST_LAYER], and whether it has one."""
+        """(cells,) the lowest level of each cell [layers above LOWEST_LAYER], and whether it has one."""
         total = self.count.sum(1)
         summed = np.pad(np.cumsum(self.count, axis=1, dtype=np.int32), ((0, 0), (1, 0)))
         window = summed[:, LEVEL_LAYERS:] - summed[:, :-LEVEL_LAYERS]  # (cells, LAYERS_OF_CELL - LEVEL_LAYERS + 1)
         enough = window >= np.maximum(LEVEL_LEAST, LEVEL_SHARE * total)[:, None]
         first = enough.argmax(1)
-        # The first window that has enough holds the lower tail of the level: it is at its highest above, less than
-        # its own width.
+        # The first window with enough points holds the lower tail of the level. The level is the fullest window that
+        # lies at most its own width above.
         reach = np.minimum(first[:, None] + np.arange(LEVEL_LAYERS + 1), window.shape[1] - 1)
         start = first + np.take_along_axis(window, reach, 1).argmax(1)
         start = np.minimum(start, window.shape[1] - 1)
@@ -97,13 +98,16 @@ class _LayerCounts:
         return level, (total >= FEWEST_IN_CELL) & enough.any(1)
 
     def lifted(self, level: np.ndarray) -> np.ndarray:
-        """(cells, 3) the points on each cell's `level` (cells,), over its middle."""
+        """(cells, 3) the points at each cell's `level` (cells,), over its middle."""
         over = LOWEST_LAYER * self.ground.camera_height + level * self.layer
         return self.middle + over[:, None] * self.ground.up
 
     def check(self, level: np.ndarray, cell: np.ndarray, layer: np.ndarray, number: int) -> float:
-        """By how much the levels (cells,) lie off those of `number` sparse points that are in cells that have one, in
-        `cell` and `layer` (N,) [units]. Raises InputError where the cloud is not of them."""
+        """Median height difference between the levels (cells,) and the sparse points [model units].
+
+        cell, layer : (N,) of those of the `number` sparse points whose cells have a level. Raises InputError if the
+        cloud does not belong to the sparse points.
+        """
         if len(cell) < max(COVERED_SHARE * number, FEWEST_COVERED):
             text = f"it shows the surroundings of {len(cell)} of {number} sparse points only"
             raise InputError(text, NOT_ITS_OWN)

@@ -17,7 +17,7 @@ MODEL_FILES = (
 
 
 def find_exchange(path: Path) -> Path | None:
-    """The file of another program that `path` is, or that its folder holds where it holds no COLMAP model."""
+    """Another program's file: `path` itself, or one in the folder `path` if that holds no COLMAP model; else None."""
     if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
         return path
     if not path.is_dir():

@@ -15,13 +15,13 @@ from ..formats.reading import check_regular
 from ..system.paths import absolute
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
-PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
-TIME_STEP_NS = 2_000_000_000  # [ns] of the coarsest file system, FAT: so far may two machines' times of one file differ
+PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger files
+TIME_STEP_NS = 2_000_000_000  # [ns] of the coarsest file system, FAT: two machines' times of a file may differ by it
 
 
 class Stamp(NamedTuple):
-    """What tells one content of a file from the next without reading it. path : absolute. inode : of its disk.
-    changed : when [ns]. size : [byte]."""
+    """Identifies the content of a file without reading it. path : absolute. inode : of its file system. changed : time
+    of the last change [ns]. size : [byte]."""
 
     path: str
     inode: int
@@ -30,35 +30,35 @@ class Stamp(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> Stamp:
-        """Of the file that is there now. Raises InputError, for a pipe too."""
+        """The stamp of the file as it is now. Raises InputError, also for a pipe."""
         check_regular(path, "Was it moved meanwhile?")  # opening a pipe would wait for its other end
-        with _reading(path), path.open("rb") as file:  # of an open file a network drive tells what is so now
+        with _reading(path), path.open("rb") as file:  # a network drive has current values only for an open file
             there = os.fstat(file.fileno())
         return cls(str(absolute(path)), there.st_ino, there.st_mtime_ns, there.st_size)
 
     def same(self, other: Stamp) -> bool:
-        """Whether the content is the same, by size and time: network drives make up inodes."""
+        """Whether the content is the same, by size and time; not by inode, which network drives make up."""
         return (self.size, self.changed) == (other.size, other.changed)
 
     def same_elsewhere(self, other: Stamp) -> bool:
-        """Whether another machine may mean the same content: it may round times."""
+        """Whether the content is the same on another machine, which may round times."""
         return self.size == other.size and abs(self.changed - other.changed) <= TIME_STEP_NS
 
 
 def require_unchanged(stamps: Iterable[Stamp]) -> None:
-    """Raise InputError where a file is another now than when its stamp was taken, before it was read."""
+    """Raise InputError if a file has changed since its stamp was taken, before it was read."""
     for stamp in stamps:
         if not Stamp.of(path := Path(stamp.path)).same(stamp):
             raise changed(path)
 
 
 def changed(path: Path) -> InputError:
-    """The error of a file that got another content while it was in use."""
+    """The error for a file whose content changed while it was in use."""
     return InputError(f"{path} was changed since it was opened", "Let nothing write it meanwhile, and run again.")
 
 
 def another(path: Path) -> InputError:
-    """The error of a worker whose file is not the one that it was sent work on."""
+    """The error of a worker whose file is not the one that its task is about."""
     return InputError(
         f"{path} is another file here than where the run was started, by its size or its time of change",
         "Give all machines the same files, with their times (cp -p, rsync -t), and let nothing write them meanwhile.",
@@ -71,14 +71,14 @@ def content_hash(paths: Iterable[Path]) -> str:
     for path in paths:
         with _reading(path), path.open("rb") as file:
             digest.update(os.fsencode(path.name) + b"\0" + os.fstat(file.fileno()).st_size.to_bytes(8, "little"))
-            hashlib.file_digest(file, lambda: digest)  # goes on with it, and never holds the whole file
+            hashlib.file_digest(file, lambda: digest)  # updates `digest`, without ever holding the whole file
     return digest.hexdigest()
 
 
 def fingerprint(paths: Iterable[Path]) -> str:
-    """SHA-256 in hex of the files' contents; of a file above 4 MiB, of its size, its time of change and 64 pieces.
+    """SHA-256 in hex of the files' contents; for a file above 4 MiB, of its size, its time of change and 64 pieces.
 
-    Names do not enter, so a file that was moved keeps its fingerprint. Raises InputError.
+    Names are not part of it, so a file that was moved keeps its fingerprint. Raises InputError.
     """
     digest = hashlib.sha256()
     for path in paths:

@@ -2,8 +2,8 @@
 
 From straight above flat ground, a longer focal length and a higher camera give the same pictures: bundle adjustment
 cannot separate them, nor determine heights, while horizontal positions on the ground are unaffected. The normal
-equations of the adjustment show whether this is the case: with poses and points eliminated, what is left of the
-information on the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
+equations of the adjustment show whether this is the case, by the information on the focal length that is left after
+poses and points were eliminated (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ if TYPE_CHECKING:
     from .lens import Lens
     from .picture_file import PictureFile
 
-MOST_TRACKS = 1500  # whose tracks are used, the longest ones: a second's work
-MOST_IMAGES = 120  # spread evenly over the model
+MOST_TRACKS = 1500  # points whose tracks are used, those with the longest: a second's work
+MOST_IMAGES = 120  # that are used, spread evenly over the model
 MOST_VIEWS = 12  # of one point
-LEAST_TRACKS = 50  # points of three views and more, below which nothing is said
-LEAST_PX = 0.5  # of an observation's error: adjusted by the thousand, their errors are not independent
-HELD = 1e-9  # share of the largest information by which poses are held: they are known but for a similarity
-# How many times what observations with independent errors leave open the focal length may be off: thousands of them
-# average to hundredths of a pixel; what a lens model leaves of the lens, 0.1 to 0.3 px all over the picture, does not.
-# An assumption; on the flat block `brighton` it is 14 times as much, by EXIF.
+LEAST_TRACKS = 50  # points of three views and more that are needed for any result
+LEAST_PX = 0.5  # least error of an observation: they are adjusted by the thousand, so errors are not independent
+HELD = 1e-9  # regularisation, as a share of each diagonal element: poses are known only up to a similarity transform
+# Factor from the formal uncertainty of the focal length, that for independent errors, to the real one. Independent
+# errors of thousands of observations average to hundredths of a pixel; the distortion that the lens model does not
+# describe, 0.1 to 0.3 px all over the picture, does not. An assumption; on the flat block `brighton` the factor is 14,
+# by EXIF.
 SYSTEMATIC = 10.0
-OPEN = 0.03  # relative one-sigma from which a focal length counts as open: leans of vehicles are off by as much
+OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the lean of vehicles is off by as much
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
@@ -70,7 +71,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
 
 
 def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
-    """Of some frames whose tags tell their lens: name, lens, and the model's focal length [px]; None without any."""
+    """Name, lens, and the model's focal length [px] of some frames whose tags describe their lens; None without any."""
     from .lens import lens_of
     from .tags import read_tags
 
@@ -79,13 +80,13 @@ def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> li
     for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
         try:
             found.append((picture.name, lens_of(read_tags(picture.path)), cameras[picture.name].mean_focal_length()))
-        except InputError:  # tells none, or is damaged, which its reader will say
+        except InputError:  # without a lens in its tags, or damaged, which its reader will report
             continue
     return found or None
 
 
 def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
-    """A note if most tags tell focal lengths far from the model's."""
+    """A note if most tags give focal lengths far from the model's."""
     far = [
         (abs(has / lens.focal_px - 1), name, lens, has)
         for name, lens, has in told or []
@@ -102,11 +103,11 @@ def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
 
 
 def focal_sd(model: pycolmap.Reconstruction) -> float | None:
-    """Relative one-sigma of the focal length of `model`, from its tracks; None for too few of them.
+    """Formal relative one-sigma of the focal length of `model`, from its tracks; None if there are too few.
 
-    All its cameras are taken for one with radial distortion, adjusted with poses and points.
+    All its cameras are taken for one with radial distortion, adjusted together with poses and points.
     """
-    # By names and by the order of what images saw: the numbers of images and points are another program's others.
+    # Ordered by names, and by the order of observations: ids of images and points differ between programs.
     numbers = sorted(model.reg_image_ids(), key=lambda number: model.image(number).name)
     if not numbers:
         return None
@@ -131,8 +132,8 @@ def focal_sd(model: pycolmap.Reconstruction) -> float | None:
 
 
 def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:
-    """Points with long tracks before those with short ones; of equally long ones in the order of the smallest number
-    that one has among the points of an image, and of the `rank` of that image."""
+    """Points with long tracks before those with short ones. Points with tracks of equal length are ordered by their
+    smallest observation index in any image, then by the `rank` of that image."""
 
     def first_view(point: pycolmap.Point3D) -> tuple[int, int]:
         return min(((e.point2D_idx, rank.get(e.image_id, len(rank))) for e in point.track.elements), default=(0, 0))
@@ -161,7 +162,7 @@ def _sd(
             whole[n, :, 6 * n : 6 * n + 6] = by_camera[n, :, :6]
             whole[n, :, -LENS_UNKNOWNS:] = by_camera[n, :, 6:]
         a, b = whole.reshape(2 * len(k), -1) / error, by_point.reshape(2 * len(k), 3) / error
-        q = np.linalg.qr(b)[0]  # what the point takes up
+        q = np.linalg.qr(b)[0]  # the part of the information that the point takes up
         left = a - q @ (q.T @ a)
         reduced[np.ix_(places, places)] += left.T @ left
     scale = np.sqrt(np.maximum(reduced.diagonal(), 1e-300))
@@ -174,8 +175,8 @@ def _sd(
 def _jacobians(
     xyz: np.ndarray, rotation: np.ndarray, shift: np.ndarray, focal: np.ndarray, distance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of the pixels of one point in N images: (N, 2, 6 + LENS_UNKNOWNS) by turn, shift, log focal length and
-    distortion, and (N, 2, 3) by the point."""
+    """Derivatives of the pixels of one point in N images: (N, 2, 6 + LENS_UNKNOWNS) by rotation, shift, log focal
+    length and distortion, and (N, 2, 3) by the point."""
     local = rotation @ xyz + shift  # (N, 3)
     u, v, z = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2], local[:, 2]
     zero = np.zeros_like(u)

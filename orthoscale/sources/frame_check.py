@@ -1,11 +1,13 @@
-"""Whether frames are those that a model was made from: they show its points in their colours and places.
+"""Checks whether frames are those that a model was made from: whether they show its points in the same colours and
+places.
 
-Cameras number their files alike on every flight: a folder of another flight has the same names and sizes. In four real
-models brightness and colours correlate by 0.90 to 0.98 in every frame, and by 0.40 at most in frames of another name.
+Cameras use the same file names on every flight, so a folder of another flight has the same names and sizes. In four
+real models the brightness of the points and of the frames correlates by 0.90 to 0.98 in every frame, and by 0.40 at
+most if a frame is replaced by another.
 
-Frames of the same size that were undistorted since, or are the originals of an undistorted model, show things larger or
-smaller than the model's lens does, away from the middle: with a k1 of 0.1, scales are 3 to 8 % off. (Frames of another
-size are refused: `PictureFile.check_size`.)
+Frames of the same size that were undistorted later, or that are the originals of an undistorted model, show things away
+from the middle larger or smaller than the model's lens does: with a k1 of 0.1, scales are 3 to 8 % off. (Frames of
+another size are refused: `PictureFile.check_size`.)
 """
 
 from __future__ import annotations
@@ -23,23 +25,25 @@ from .picture_file import PictureFile
 if TYPE_CHECKING:
     import pycolmap
 
-FRAMES_COMPARED = 5  # that are looked at, spread over all
-LEAST_POINTS = 50  # of a frame
+FRAMES_COMPARED = 5  # that are checked, spread over all
+LEAST_POINTS = 50  # of a frame that can be checked
 LEAST_CONTRAST = 5.0  # [of 255] standard deviation: points without colours are black, and a blank frame shows nothing
-OWN_FRAMES = 0.5  # correlation, in the middle of the frames, from which they are the model's
-# Correlation elsewhere from which the points are sure to be there, and how much higher than in their places it is: an
-# error of 1 % costs the four models 0.03 to 0.2, and their own frames fit within 0.3 %.
+OWN_FRAMES = 0.5  # median correlation of the frames from which they are the model's
+# Correlation at other places from which the points surely lie there; by how much it must exceed that in the model's
+# places; and the least error [relative] that is reported. An error of 1 % costs the four models 0.03 to 0.2 of the
+# correlation, and their own frames fit within 0.3 %.
 SURE_PLACE, GAIN, LEAST_ERROR = 0.7, 0.03, 0.01
-MOST_ZOOM, MOST_BEND = 0.12, 0.4  # how far is looked for other places; `_ZoomFit`
+MOST_ZOOM, MOST_BEND = 0.12, 0.4  # range of the search for other places, see `_ZoomFit`
 SHARES_TRIED = np.linspace(-1, 1, 7)
-GRIDS = 6  # of grids, each half as wide as the one before: errors of 0.2 % show in the end
+GRIDS = 6  # search grids, each half as wide as the one before: in the end errors of 0.2 % show
 
 
 @dataclass(frozen=True)
 class _ZoomFit:
-    """Where a frame shows the points: zoom + bend * r^2 times as far from the middle, r in focal lengths, as the model.
+    """Where a frame shows the points: (zoom + bend * r^2) times as far from the middle as in the model, r in focal
+    lengths.
 
-    own, best : correlation in the model's places, and there. error : how much larger things are there, relative.
+    own, best : correlation in the model's places, and in those. error : how much larger things are there, relative.
     """
 
     own: float
@@ -48,7 +52,7 @@ class _ZoomFit:
 
 
 def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
-    """What to say of `pictures`, the frames of `model`, if they do not show what it saw, or not where."""
+    """Remarks on `pictures`, the frames of `model`, if they do not show its points, or show them elsewhere."""
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     count = min(FRAMES_COMPARED, len(pictures))
     chosen = [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, count)]
@@ -74,7 +78,7 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
 
 
 def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _ZoomFit | None:
-    """Where `picture` shows the points of `image`, by the brightness of both; None if not known."""
+    """Where `picture` shows the points of `image`, by the brightness of both; None if that cannot be found."""
     seen = [point for point in image.points2D if point.has_point3D()]
     if len(seen) < LEAST_POINTS:
         return None
@@ -99,12 +103,12 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
                 return None
             zoom, bend = _highest(likeness)
             return _ZoomFit(own, likeness(zoom, bend), zoom - 1 + 2 * bend * float(r2.mean()))
-    except InputError:  # said by whoever needs it
+    except InputError:  # reported by whoever needs the picture
         return None
 
 
 def _highest(likeness: Callable[[float, float], float]) -> tuple[float, float]:
-    """The zoom and bend of the highest likeness, which falls off on all sides: by grids, each half as wide."""
+    """The zoom and bend of the highest likeness, which has one maximum; by grids, each half as wide as the last."""
     zoom, bend = 1.0, 0.0
     for part in 0.5 ** np.arange(GRIDS):
         tries = [(zoom + part * MOST_ZOOM * a, bend + part * MOST_BEND * b) for a in SHARES_TRIED for b in SHARES_TRIED]

@@ -1,4 +1,4 @@
-"""The frames of a model on disk: which folder the names of its images start from."""
+"""The frames of a model on disk: finds the folder that the names of its images are relative to."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     import pycolmap
 
 IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
-IMAGES_ABOVE = 3  # of a model that are searched for its images, as for workspace/sparse/0
+IMAGES_ABOVE = 3  # folders above a model that are searched for its images, as for workspace/sparse/0
 
 
 def find_frames(
     model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[Remark]
 ) -> list[PictureFile]:
-    """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
+    """The frames of `model`, which lies in `folder`, that are on disk; adds to `notes`. See `ColmapSource.open`."""
     registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, sorted(registered))
@@ -47,9 +47,9 @@ def find_frames(
 
 
 def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
-    """The folder that holds most of the image `names` of the model in `folder`, and the names it lacks.
+    """The folder that holds most of the image `names` of the model in `folder`, and the names that it lacks.
 
-    given : where to look instead of beside and above the model. Raises InputError where it holds none of them.
+    given : where to look instead of beside and above the model. Raises InputError if none of them is found.
     """
     if given is not None:
         if not os.path.isdir(given):  # noqa: PTH112  pathlib's raises for names that are too long
@@ -91,7 +91,7 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
 
 def _below(folder: Path, name: str) -> Path | None:
     """A folder that has the image `name`, one or two levels below `folder`."""
-    with suppress(OSError):  # one of them is not to be read
+    with suppress(OSError):  # one of them cannot be read
         for level in ("*", "*/*"):
             for place in sorted(folder.glob(level)):
                 if file_in(place, name) is not None:
@@ -100,10 +100,10 @@ def _below(folder: Path, name: str) -> Path | None:
 
 
 def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
-    """A picture in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
+    """A picture in one of `places` whose name differs from the image `name` only in its folder, ending or case."""
     wanted = _bare(PureWindowsPath(name))
     for place in places:
-        with suppress(OSError):  # no folder, or not to be read
+        with suppress(OSError):  # no folder, or it cannot be read
             for path in sorted(place.iterdir()):
                 if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
                     return path

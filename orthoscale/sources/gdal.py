@@ -22,13 +22,13 @@ from ..errors import InputError
 from ..formats.reading import read_bytes
 from ..system.budget import memory
 
-# GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
-# does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
-# PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
+# GDAL's own cache limit is 5 % of the machine's memory, and was seen to grow past a gigabyte. This one is in bytes:
+# rasterio does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times
+# slower. PAM stays enabled, because GIS programs keep the georeferencing of a JPEG in .aux.xml; GDAL writes one only
 # after statistics or properties were set, and nothing here does that to an input.
 _CACHE = 256 * 2**20
-# No file may make GDAL call a server, however deep it is hidden in it (a VRT's source, an overview named in .aux.xml):
-# all that GDAL asks of the network goes to a proxy that does not exist, and no remote file is known to it.
+# No file may make GDAL call a server, however deep the address is hidden (a VRT's source, an overview named in
+# .aux.xml): all of GDAL's requests go to a proxy that does not exist, and no remote file is known to it.
 _OFFLINE = {
     "GDAL_HTTP_PROXY": "127.0.0.1:9",
     "GDAL_HTTPS_PROXY": "127.0.0.1:9",
@@ -38,7 +38,7 @@ _OFFLINE = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
 }
-# Formats whose files name a server, or pictures that anybody keeps anywhere.
+# Formats whose files name a server, or files anywhere.
 _SERVED = frozenset(
     [
         "DAAS", "EEDA", "EEDAI", "ESRIC", "GTI", "HTTP", "KMLSUPEROVERLAY", "NGW", "OGCAPI", "PLMOSAIC", "Rasterlite",
@@ -46,8 +46,8 @@ _SERVED = frozenset(
     ]
 )  # fmt: skip
 EXPORT_AGAIN = "Export or download it again; its transfer may have been cut off."
-_LONGEST_VRT = 2**28  # [byte] of its text that is looked through
-GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, UnicodeError)  # its names and messages must be UTF-8
+_LONGEST_VRT = 2**28  # [byte] of a VRT's text that is searched
+GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, UnicodeError)  # the last since its texts must be UTF-8
 
 
 def settings() -> dict[str, Any]:
@@ -57,24 +57,24 @@ def settings() -> dict[str, Any]:
 
 @cache
 def _local_drivers() -> list[str]:
-    """GDAL's formats whose files hold their own pixels, or say in which files they are."""
+    """GDAL's formats whose files hold their own pixels, or name the files that do."""
     with rasterio.Env() as env:
         return [name for name in env.drivers() if name not in _SERVED]
 
 
 def open_dataset(path: Path, *formats: str, **options: Any) -> DatasetReader:
-    """GDAL's view of a file on this machine; within `guarded`, as all that is done with it, so that it calls no server.
+    """Open a file on this machine with GDAL. Call it, and use the result, within `guarded`, so that it calls no server.
 
-    formats : GDAL's names of those that it may be, by default all whose files are local. options : of the format.
-    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
+    formats : GDAL's names of the formats that are allowed, by default all whose files are local. options : of the
+    format. Raises InputError for a file that names a pipe or device; GDAL's errors for one that it cannot open.
     """
     _require_files(path)
     return DatasetReader(path, driver=list(formats) or _local_drivers(), sharing=False, **options)
 
 
 def _require_files(path: Path) -> None:
-    """Raises InputError where `path` is a VRT that names a pipe or device, from which GDAL would wait for pixels
-    forever; so do those that it names in turn."""
+    """Raises InputError if `path` is a VRT that names a pipe or device, itself or by other VRTs: GDAL would wait for
+    pixels from it forever."""
     waiting, seen = [path.absolute()], set()
     while waiting:
         vrt = waiting.pop()
@@ -101,8 +101,8 @@ def _require_files(path: Path) -> None:
 
 
 def projection_file(picture: Path) -> Path | None:
-    """The ``.prj`` beside a picture, where mapping programs write the coordinate reference system of its world file;
-    GDAL reads it for other formats only. None where there is none."""
+    """The ``.prj`` beside a picture, where mapping programs write the coordinate reference system of its world file and
+    which GDAL reads only for other formats. None if there is none."""
     places = (picture.with_suffix(suffix) for suffix in (".prj", ".PRJ"))
     return next((place for place in places if place.is_file()), None)
 
@@ -119,7 +119,7 @@ def read_projection(path: Path) -> CRS:
 def guarded(**options: Any) -> Iterator[None]:
     """GDAL within its memory limit and offline; `options` are more of its settings."""
     with rasterio.Env(**settings(), **options), warnings.catch_warnings():
-        # Images without georeferencing are this package's daily bread.
+        # Images without georeferencing are normal here.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield
 
@@ -137,8 +137,8 @@ def reading(path: Path, what: str, hint: str) -> Iterator[None]:
 
 
 def reason(error: BaseException) -> str:
-    """What GDAL said, without its advice to programmers and the file's name, which the reader is told anyway; rasterio
-    often keeps it in the cause and says only "see previous exception"."""
+    """GDAL's message, without its advice to programmers and the file's name, which the reader gets anyway. rasterio
+    often keeps the message in the cause and says only "see previous exception"."""
     if isinstance(error, OSError) and error.strerror:  # Python's own, whose text has names of temporary files
         return error.strerror
     text = str(error.__cause__ or error).strip().rstrip(".")

@@ -20,11 +20,12 @@ from ..errors import InputError
 from ..formats.degrees import near_on_map, to_degrees
 from .gdal import open_dataset, read_projection
 
-LINE = 1e-6  # width over length from which points count as lying on a line
+LINE = 1e-6  # width over length up to which points count as lying on a line
 MOST_MISFIT = 0.02
 """Share of the image's diagonal that ground control may be off its affine fit: then the pixel size is off as much."""
-# [deg] from which pixels are parallelograms on the ground, and so are vehicles: of projections of a continent that keep
-# areas, EPSG:3035 leans by 2.4 at its edges; maps of the world, and turned ones in degrees, by tens.
+# [deg] deviation from a right angle from which pixels, and with them vehicles, are parallelograms on the ground.
+# EPSG:3035, an equal-area projection of a continent, has 2.4 at its edges; maps of the world, and rotated ones in
+# degrees, have tens.
 MOST_LEANING = 5.0
 NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
@@ -37,16 +38,16 @@ LOCAL_CRS = (
 
 @dataclass(frozen=True)
 class Claim:
-    """What a raster's own georeferencing says of its scale.
+    """The scale that a raster's own georeferencing states.
 
     gsd_m : ground metres per pixel at the image's centre, measured on the ellipsoid (the geometric mean of both axes);
-        where nothing ties the image to the Earth, what its figures would mean in metres; None without any figure.
-    usable : True when it comes from a real coordinate reference system and may be compared with a measured scale.
-    why : for people, to follow the figure: where it comes from, or why there is none or it is not to be believed.
-    crs, transform : the georeferencing behind it, from ground control points where there is no geotransform; None
+        if nothing ties the image to the Earth, its figures taken as metres; None without any figure.
+    usable : True if it comes from a real coordinate reference system and may be compared with a measured scale.
+    why : text for people, to follow the figure: where it comes from, or why there is none or it cannot be trusted.
+    crs, transform : the georeferencing behind it, from ground control points if there is no geotransform; None
         without any.
-    aspect : how many times as wide as high a pixel is on the ground; 1 where that is not known, and where it is square.
-    unit_known : False where nothing says of what unit the figures are.
+    aspect : width over height of a pixel on the ground; 1 if it is square or unknown.
+    unit_known : False if nothing gives the unit of the figures.
     """
 
     gsd_m: float | None
@@ -65,7 +66,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class CopyGeoreference:
-    """The georeferencing of a copy with the measured scale. said : for people, what became of the input's own."""
+    """The georeferencing of a copy with the measured scale. said : what became of the input's own, for people."""
 
     crs: str | CRS
     transform: Affine
@@ -73,8 +74,8 @@ class CopyGeoreference:
 
 
 def claim_of(dataset: DatasetReader, projection: Path | None = None) -> Claim:
-    """What the georeferencing of `dataset` says, or its world file and ``.prj``, which is `projection`, and whether to
-    believe it; within `gdal.guarded`. Never raises for strange georeferencing."""
+    """The claim of the georeferencing of `dataset`, or of its world file and its ``.prj`` (`projection`), and whether
+    it can be trusted; within `gdal.guarded`. Never raises for strange georeferencing."""
     try:
         return _claim_of(dataset, projection)
     except pyproj.exceptions.CRSError as error:
@@ -121,8 +122,8 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
 
 
 def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
-    """What else is said of the pixel size where a TIFF or JPEG 2000 file and what lies beside it contradict each other,
-    for people; within `guarded`. GDAL takes ``.aux.xml`` first, then the file, then the world file."""
+    """Other pixel sizes, in words, if a TIFF or JPEG 2000 file and the files beside it contradict each other; within
+    `guarded`. GDAL takes ``.aux.xml`` first, then the file, then the world file."""
     beside = {"PAM": (f"{path.name}.aux.xml",), "INTERNAL": (path.name,), "WORLDFILE": _world_files(path)}
     there = {source: [n for n in names if path.with_name(n).is_file()] for source, names in beside.items()}
     if dataset.driver not in ("GTiff", "JP2OpenJPEG") or not claim.usable or not (there["PAM"] or there["WORLDFILE"]):
@@ -150,10 +151,10 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
         return Claim(None, False, f"only {len(points)} ground control points, without what ties them to the ground")
     if not np.isfinite([(p.col, p.row, p.x, p.y) for p in points]).all():
         return Claim(None, False, f"{len(points)} ground control points, not all of them finite numbers")
-    # On the 180th meridian they go on beyond it.
+    # Coordinates of an image across the 180th meridian continue beyond it.
     east = near_on_map(np.array([(p.x, p.y) for p in points]), crs, points[0].x)[:, 0]
     points = [GroundControlPoint(p.row, p.col, x, p.y, p.z) for p, x in zip(points, east.tolist(), strict=True)]
-    # GDAL fits something through points on a line too, and what that is depends on rounding.
+    # GDAL fits a transform to points on a line, too, but the result depends on rounding.
     flat = (_on_a_line([(p.col, p.row) for p in points]), _on_a_line([(p.x, p.y) for p in points]))
     try:
         t = Affine(0, 0, 0, 0, 0, 0) if any(flat) else from_gcps(points)
@@ -170,7 +171,7 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
 
 
 def _misfit(points: list[GroundControlPoint], t: Affine) -> float:
-    """[px] how far `t` puts the points from their pixels, root mean square."""
+    """[px] distance between the points by `t` and their pixels, root mean square."""
     away = transformed(np.array([(p.x, p.y) for p in points]), ~t) - [(p.col, p.row) for p in points]
     return math.sqrt((away**2).sum(1).mean())
 
@@ -206,7 +207,7 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
 
 
 def _attitude(t: Affine) -> str:
-    """What is unusual about how the image lies."""
+    """What is unusual about the image's orientation, in words."""
     words = []
     turned = math.degrees(math.atan2(t.d, t.a))
     if t.determinant > 0 and abs(turned) > 90:
@@ -223,9 +224,9 @@ def _attitude(t: Affine) -> str:
 def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     """Local metres, north up, origin at the lower left corner of the image of `height` px.
 
-    An image that shows the ground mirrored (its first row is its southernmost, or its first column its easternmost) is
-    placed with rows that go north, or the copy would show another ground.
-    Pixels that are not square on the ground stay so: `gsd_m` is the geometric mean of their sides.
+    An image that shows the ground mirrored (its first row is the southernmost, or its first column the easternmost) is
+    placed with rows that go north: otherwise the copy would show mirrored ground.
+    Pixels that are not square on the ground stay so; `gsd_m` is the geometric mean of their sides.
     """
     wide, high = gsd_m * math.sqrt(claim.aspect), gsd_m / math.sqrt(claim.aspect)
     said = "local metres, origin at the lower left corner"
@@ -244,8 +245,8 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
 def kept_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     """The input's own coordinate reference system, first corner and direction, with pixels of the measured size.
 
-    One factor on the geotransform does it in metres, feet and degrees, stretched or not. Where there is no place to
-    keep, `local_place`.
+    One factor on the geotransform achieves this in metres, feet and degrees, in any projection. If there is no place to
+    keep, it is `local_place`.
     """
     t = claim.transform
     if t is None or claim.gsd_m is None:
@@ -262,17 +263,17 @@ def kept_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
 
 
 def _aspect(across: float, down: float) -> float:
-    """`Claim.aspect` of pixels `across` wide and `down` high; 1 of those that are nearly square: Web Mercator treats
-    the ellipsoid as a sphere, which stretches one axis by up to 0.7 %."""
+    """`Claim.aspect` of pixels `across` wide and `down` high; 1 for nearly square ones, since Web Mercator treats the
+    ellipsoid as a sphere, which stretches one axis by up to 0.7 %."""
     return 1.0 if abs(across / down - 1) < NEARLY_SQUARE else across / down
 
 
 def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tuple[float, float, float]:
-    """How far one step across and one step down is at the image's centre, along geodesics [m], and by how much the two
-    are off a right angle [deg].
+    """Ground length of one pixel step across and down at the image's centre, along geodesics [m], and by how much the
+    two deviate from a right angle [deg].
 
-    One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError when the centre
-    is not a place on Earth.
+    One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError if the centre is
+    not a place on Earth.
     """
     x, y = width / 2, height / 2
     # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.

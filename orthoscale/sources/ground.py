@@ -15,7 +15,7 @@ from ..errors import TooLittleEvidence
 from .ground_plane import MIN_POINTS, no_ground, plane_below
 from .ground_sheet import Sheet
 
-MAX_POINTS = 200_000  # more do not make the ground any better known, only slower
+MAX_POINTS = 200_000  # more do not make the ground more accurate, only slower
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Ground:
 
     up : (3,) unit vector away from the ground, towards the cameras. camera_height : median height of the cameras over
     the ground below them. noise : standard deviation of the ground's own points about the surface. alike : one sigma of
-    a further error common to all places (`unsure`).
+    a further error that all places share (`unsure`).
     """
 
     up: np.ndarray
@@ -39,8 +39,8 @@ class Ground:
 
         Points on trees, roofs, walls and vehicles, and outliers on either side, are separated from the ground by the
         surface's stiffness and by the side on which the cameras are. The result is reproducible, whatever the order
-        of both, and goes with the world when that is turned, shifted or scaled. Raises TooLittleEvidence for too few
-        points, InputError if no surface lies below the cameras.
+        of points and cameras, and is the same surface if the world is rotated, shifted or scaled. Raises
+        TooLittleEvidence for too few points, InputError if no surface lies below the cameras.
         """
         points, centres = _finite(points), _finite(camera_centres)
         if len(points) < MIN_POINTS or not len(centres):
@@ -66,12 +66,13 @@ class Ground:
 
     def sd(self, points: np.ndarray) -> np.ndarray:
         """(N,) one sigma of the ground's height vertically below `points` (N, 3): it grows with the distance from the
-        ground's points. Beyond the surface it is that of its nearest edge."""
+        points on the ground. Beyond the surface it is that at its nearest edge."""
         local = np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T
         return np.hypot(self._sheet.sd(local), self.alike)
 
     def unsure(self, alike: float) -> Ground:
-        """The same ground with an error of one sigma `alike` common to all its points, which does not average out."""
+        """The same ground with an error of one sigma `alike` that all its points share, so that it does not average
+        out."""
         return replace(self, alike=alike)
 
     def plane(self, points: np.ndarray) -> np.ndarray:
@@ -87,8 +88,8 @@ class Ground:
         """Where rays from `origins` (N, 3) along `directions` (N, 3), of any length, meet the ground.
 
         Returns the points (N, 3), the ground's unit normals there (N, 3), pointing up, and (N,) bool whether the
-        answer holds: the ray goes down to ground whose height is known at all (`sd`), and that is not too steep for
-        vehicles. Where it does not hold, points and normals are finite but meaningless.
+        result is valid: the ray goes down to ground whose height is known well enough (`sd`) and that is not too steep
+        for vehicles. Where it is not, points and normals are finite but meaningless.
         """
         origins = np.asarray(origins, float).reshape(-1, 3)
         directions = np.asarray(directions, float).reshape(-1, 3)
@@ -96,8 +97,9 @@ class Ground:
 
 
 def _order(xyz: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """(M,) the order in which points or cameras are drawn from: that in the files is another one in each program's, and
-    that of coordinates another one in a turned world; how far they lie from the `middle` of the cameras stays."""
+    """(M,) an order of points or cameras for random draws, by their distance from the `middle` of the cameras. Unlike
+    the order in the files it does not depend on the program, and unlike that of coordinates not on the world's
+    rotation."""
     return np.lexsort((*xyz.T, np.linalg.norm(xyz - middle, axis=1)))
 
 

@@ -1,4 +1,4 @@
-"""Heights at the nodes of a square grid, as smooth as a thin plate, and how well such heights are known."""
+"""Heights at the nodes of a square grid, smooth as a thin plate, and the uncertainty of such heights."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Grid:
         return np.clip(node, 0, np.array(self.shape) - 1)
 
     def crowding(self, xy: np.ndarray) -> np.ndarray:
-        """(M,) what to divide a point's weight by, lest textured spots outvote bare asphalt beside them."""
+        """(M,) divisors of the points' weights, so that textured spots do not outvote bare asphalt beside them."""
         node = np.ravel_multi_index(tuple(self.nearest(xy).T), self.shape)
         return np.sqrt(np.bincount(node)[node])
 
@@ -63,9 +63,9 @@ class Grid:
     def fit(
         self, at: sparse.csr_matrix, heights: np.ndarray, weight: np.ndarray, length: float, before: np.ndarray
     ) -> np.ndarray:
-        """(nodes,) heights of the sheet nearest to `heights` (M,) that smooths what is shorter than `length`.
+        """(nodes,) heights of the sheet that fits `heights` (M,) best and smooths structures shorter than `length`.
 
-        A touch of the sheet `before` keeps nodes in place that no point holds.
+        A slight pull towards the sheet `before` keeps nodes in place that no point holds.
         """
         stiffness = (length / self.spacing) ** 4 / (2 * np.pi)
         weighted = at.T.multiply(weight)
@@ -76,11 +76,11 @@ class Grid:
 
 
 def variances(precision: sparse.csr_matrix, reach: int) -> np.ndarray:
-    """(N,) the diagonal of the inverse of a positive definite matrix (N, N) that links nothing further than `reach`.
+    """(N,) the diagonal of the inverse of a positive definite matrix (N, N) of bandwidth `reach`.
 
-    Blocks of so many rows make it block tridiagonal. One way, each block is inverted as it is when those before it are
-    eliminated; on the way back, what the later ones know is added (Takahashi, Fagan and Chin 1973). The inverse as a
-    whole, of which only the diagonal is asked for, takes thirty times as long.
+    Blocks of `reach` rows make it block tridiagonal. The forward pass inverts each block after the elimination of those
+    before it; the backward pass adds the information of the later ones (Takahashi, Fagan and Chin 1973). The complete
+    inverse, of which only the diagonal is needed, would take thirty times as long.
     """
     blocks = [slice(start, start + reach) for start in range(0, precision.shape[0], reach)]
     links = [precision[before, here].toarray() for before, here in pairwise(blocks)]

@@ -1,6 +1,6 @@
 """Ground pictures: the near-nadir part of frames of a reconstruction, warped onto the ground, in model units per pixel.
 
-They show what an orthophoto would show, without a true orthophoto: objects above the ground lean outwards (relief
+They look like an orthophoto, but not like a true orthophoto: objects above the ground lean outwards (relief
 displacement).
 """
 
@@ -18,21 +18,21 @@ from ..errors import InputError
 from ..system import budget
 from .picture_file import LARGE_SHARE, PictureFile, covering, memory, resized, shrunk
 
-GROUND_FOLDER = "ground/"  # before the name of a frame: its picture of the ground
-SHOWN_BELOW = 8.0  # [deg] that are shown beyond, so that a vehicle at the limit is whole
-SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the ground
-CELL = 8  # [px] of the warp; between, it is linear
-MIN_SIDE = 64  # [px] below which a picture shows nothing
+GROUND_FOLDER = "ground/"  # a ground picture has the name of its frame with this before it
+SHOWN_BELOW = 8.0  # [deg] shown beyond the limit NEAR_NADIR, so that a vehicle at the limit is whole
+SAMPLES = (32, 24)  # points of a frame, across and down, to find which ground it sees
+CELL = 8  # [px] the warp is computed at every CELL-th pixel, and linear between
+MIN_SIDE = 64  # [px] smaller ground pictures are left out
 ROWS_AT_ONCE = 512  # that are warped at once
 
 
 @dataclass(eq=False)
 class GroundPicture:
-    """A `Picture` of the ground under one frame; x and y run along the ground, `unit_per_pixel` model units a pixel.
+    """A `Picture` of the ground under one frame; x and y run along the ground, `unit_per_pixel` model units per pixel.
 
-    image : the frame's name; its own is GROUND_FOLDER + that. size : (2,) width and height of the frame [px].
+    name : GROUND_FOLDER + the frame's name. image : the frame's name. size : (2,) width and height of the frame [px].
     origin : (2,) plane coordinates of the outer corner of the first pixel. axes : (2, 2) unit vectors of x and y in
-    plane coordinates (see `Ground.plane`). frame : its file, None where that is not at hand.
+    plane coordinates (see `Ground.plane`). frame : its file, None if that is not available.
     """
 
     name: str
@@ -45,7 +45,7 @@ class GroundPicture:
     axes: np.ndarray
     frame: PictureFile | None
     source: PosedSet
-    # Stands for this picture in the memory of pictures, which would hold its source too.
+    # The key of this picture in the memory of pictures; the picture itself as a key would keep its source alive.
     _key: object = field(default_factory=object, init=False, repr=False)
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
@@ -54,7 +54,7 @@ class GroundPicture:
             raise InputError(f"{self.image}: its frame is not at hand", "Give the folder of the frames with --images.")
         size = 3 * self.width * self.height
         if self.frame.large or size > LARGE_SHARE * budget.memory():
-            # Only the window, and no finer than wanted: the whole would take as much memory as the frame again.
+            # Only the window, and no finer than needed: the whole would take as much memory as the frame once more.
             shrink = min(width // max(out_width, 1), height // max(out_height, 1))
             part, factor = _warped(self, x, y, width, height, shrink)
             return shrunk(part, factor, (x, y, width, height), out_width, out_height)
@@ -63,7 +63,7 @@ class GroundPicture:
             return resized(whole[y : y + height, x : x + width], out_width, out_height)
 
     def fingerprint(self) -> str:
-        """What cached work on this picture is keyed by: the frame, and all that decides how it is warped."""
+        """Key of cached results for this picture: of the frame's content and all that determines the warp."""
         corners = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1)]) * (self.width, self.height)
         digest = hashlib.sha256(self.frame.fingerprint().encode() if self.frame is not None else b"")
         for values in (np.array([self.width, self.height, self.unit_per_pixel]), self.seen(corners)[0]):
@@ -76,8 +76,8 @@ class GroundPicture:
         return self.source.ground.lift(plane)
 
     def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the frame has what this picture shows at `points` (N, 2): frame pixels (N, 2), NaN behind the camera,
-        and (N, 2) plane vectors from below the camera to the points, in this picture's axes, per camera height."""
+        """Frame pixels (N, 2) of this picture's `points` (N, 2), NaN behind the camera; and plane vectors (N, 2) from
+        below the camera to the points, in this picture's axes, in camera heights."""
         world = self.ground(points)
         centre = self.source.centre(self.image)
         offset = (self.source.ground.plane(world) - self.source.ground.plane(centre[None])) @ self.axes.T
@@ -85,14 +85,14 @@ class GroundPicture:
 
     @property
     def camera_height(self) -> float:
-        """Of the frame's camera over the ground [model units]."""
+        """Height of the frame's camera over the ground [model units]."""
         return float(self.source.ground.height_above(self.source.centre(self.image)[None])[0])
 
 
 def ground_pictures(source: PosedSet, frames: Sequence[PictureFile]) -> list[GroundPicture]:
-    """The near-nadir parts of the images of `source`, all at the same model units per pixel: the median image's own.
+    """The near-nadir parts of the images of `source`, all at the same model units per pixel: the median of the images.
 
-    frames : those whose pixels are at hand.
+    frames : those whose pixels are available.
 
     Raises what `ColmapSource.ground` raises.
     """
@@ -130,7 +130,7 @@ def _axes(source: PosedSet, name: str) -> np.ndarray:
 
 
 def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shrink: int = 1) -> tuple[np.ndarray, int]:
-    """The window of the picture, RGB uint8, and by how much it is smaller: as the frame's `PictureFile.pixels`."""
+    """The window of the picture, RGB uint8, and the factor by which it is reduced, as in `PictureFile.pixels`."""
     assert picture.frame is not None, "asked before"
     with picture.frame.pixels(shrink) as (frame, factor):
         left, top, right, low = covering(x, y, width, height, factor)
@@ -142,7 +142,7 @@ def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shr
 def _band(
     picture: GroundPicture, frame: np.ndarray, factor: int, left: int, right: int, top: int, low: int
 ) -> np.ndarray:
-    """Columns `left` to `right` and rows `top` to `low` of the picture at a `factor`-th of its size, as is `frame`."""
+    """Columns `left` to `right` and rows `top` to `low` of the picture, which is reduced by `factor`, as is `frame`."""
     across = np.arange(left // CELL - 1, -(-right // CELL) + 1)
     down = np.arange(top // CELL - 1, -(-low // CELL) + 1)
     nodes = (np.stack(np.meshgrid(across, down), -1).reshape(-1, 2) + 0.5) * CELL * factor
@@ -155,7 +155,7 @@ def _band(
         first, above = left - across[0] * CELL, top - down[0] * CELL
         return values[above : above + low - top, first : first + right - left]
 
-    maps = [smooth(values) for values in (pixels / factor - 0.5).T]  # OpenCV's pixel centres are integers, ours end .5
+    maps = [smooth(values) for values in (pixels / factor - 0.5).T]  # pixel centres are integers in OpenCV, ours at .5
     flat = smooth(np.linalg.norm(offset, axis=1)) > 1 / np.tan(np.radians(NEAR_NADIR - SHOWN_BELOW))
     warped = cv2.remap(frame, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(NO_DATA_GREY,) * 3)
     warped[flat] = NO_DATA_GREY

@@ -1,4 +1,4 @@
-"""The plane that most of a reconstruction's ground lies on, found below its cameras: which way is up."""
+"""Finds the plane below the cameras that most of a reconstruction's ground lies on, and so which way is up."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from ..errors import InputError
 
 # Chosen by eye on the synthetic flights of tests/test_ground.py and two real models; no script has tuned them.
-MIN_POINTS = 50  # below which no ground is looked for
-NEAR_PLANE = 0.03  # of the median distance to the nearest camera: a plane's points lie so near to it
+MIN_POINTS = 50  # with fewer points no ground is looked for
+NEAR_PLANE = 0.03  # a plane's points are within this share of the median distance to the nearest camera
 TRIPLES = 1500  # of points, each of which proposes a plane
-THIN = 1e-3  # area of a triple, of that distance squared, below which it says nothing of a plane
+THIN = 1e-3  # area of a triple, in units of that distance squared, below which it defines no plane
 OVERLOOKED = 0.9  # share of the cameras that are above the ground, at least
-BEHIND = 0.5  # what a point below a plane counts against it, one on it counting 1 for it
-NO_WAY = 1e-6  # of a vector's length, in a plane, below which it has no direction there
-POINTS_FITTED = 10  # points near a plane from which it is fitted to them
+BEHIND = 0.5  # weight of a point below a plane, which counts against it; a point on it counts 1 for it
+NO_WAY = 1e-6  # share of a vector's length that lies in a plane, below which it has no direction there
+POINTS_FITTED = 10  # points near a plane that are needed to fit it to them
 
 
 def no_ground() -> InputError:
-    """What to raise where no ground is found."""
+    """The error if no ground is found."""
     return InputError(
         "no ground surface lies below the cameras of this reconstruction",
         "Views from above over mostly open ground are needed; models of facades or objects have no ground to stand on.",
@@ -30,7 +30,7 @@ def plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Gener
 
     Random triples of points propose planes (RANSAC). A plane counts only if nearly all cameras are on one side of it;
     points in it count for it and points behind it against it, so that the ground wins over a roof or a canopy. The
-    other rows are turned by where the points lie from the cameras.
+    first row points from the cameras' mean towards the points' mean.
     """
     some = points[random.choice(len(points), min(len(points), 2000), replace=False)]
     few = centres[random.choice(len(centres), min(len(centres), 200), replace=False)]
@@ -72,9 +72,10 @@ def plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Gener
 
 
 def _aside(normal: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """(3,) unit vector in the plane of `normal`, as far as it can `towards` something of the scene's own.
+    """(3,) unit vector in the plane of `normal`: the projection of `towards`, a direction that belongs to the scene.
 
-    The axes of the world are no direction to measure by: a sheet over them would be another one in a turned world.
+    The axes of the world are used only if that is impossible: with them the result would change with the world's
+    rotation.
     """
     along = towards - (towards @ normal) * normal
     if not np.linalg.norm(along) > NO_WAY * np.linalg.norm(towards):

@@ -1,4 +1,4 @@
-"""A smooth height field below a sparse cloud, under trees, roofs and vehicles, and how well it is known."""
+"""A smooth height field below a sparse cloud, under trees, roofs and vehicles, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from .ground_plane import MIN_POINTS, no_ground
 # Where these numbers come from. SETTLES and SPREAD follow from ABOVE and BELOW (tests/test_constants.py computes them).
 # The rest was chosen by eye when the sheet was written, on synthetic flights (tests/test_ground.py) and two real models
 # (sheffield, brighton); no script has tuned them.
-MIN_SHARE = 0.08  # of the points on the ground; clouds without any ground still have 2 to 5 % near some surface
+MIN_SHARE = 0.08  # of the points that lie on the ground, at least; without any ground 2 to 5 % are near some surface
 MAX_NODES = 40_000  # of the sheet's grid, a second's work
-# Stiffness of the sheet (the length that it smooths away) and widest band of points it listens to, both in camera
-# heights: from a stiff sheet that finds the ground to a supple one that follows it.
+# Stiffness of the sheet (the length that it smooths away), and the widest band of points that it is fitted to, both in
+# camera heights: from a stiff sheet that finds the ground to a flexible one that follows it.
 SCHEDULE = ((1, 0.06), (0.6, 0.05), (0.35, 0.04), (0.25, 0.03), (0.17, 0.03), *[(0.12, 0.03)] * 3)
-# The sheet listens less far up, where vehicles and shrubs are, than down: in standard deviations of ground points.
+# Width of this band upwards, where vehicles and shrubs are, and downwards, in standard deviations of ground points.
 ABOVE, BELOW = 2.0, 3.0
-# So it settles lower than the middle of normally distributed points: by SETTLES of their standard deviation, which is
-# SPREAD times the median distance of the points below the sheet.
+# Since the band is asymmetric, the sheet settles below the middle of normally distributed points: by SETTLES of their
+# standard deviation, which is SPREAD times the median distance of the points below the sheet.
 SETTLES, SPREAD = 0.24, 1.69
-# Ways [rad] in which the cells of the first sheet lie, all at once: whether a cell shows ground between its trees
-# depends on where its sides fall. Over axes that lie another way, sheets of `weedon` are up to 6.8 % of the cameras'
-# height off the median of 72 such ways where cells lie one way, 1.4 % with four and 0.9 % with eight (2026-11-26).
+# Directions [rad] of the cells of the first sheet, all used together: whether a cell shows ground between its trees
+# depends on where its sides fall. With the axes in 72 different directions, sheets of `weedon` differ from their median
+# by up to 6.8 % of the cameras' height if cells lie in one direction, 1.4 % with four and 0.9 % with eight
+# (2026-11-26).
 CELLS_LIE = tuple((np.arange(8) * np.pi / 16).tolist())
 STEEPEST = np.radians(25)  # vehicles neither park nor drive on steeper ground
-# How much the ground's slope changes from place to place: a thin plate's stiffness as a Gaussian process has it (Wahba,
-# Spline Models for Observational Data, 1990, 2.4), where slopes at distances a factor of e apart differ by about
-# WANDER / sqrt(4 pi). Lots are built with slopes of 1 to 5 %, streets with up to 8 % and a crown of 2 %: 2 % from one
-# to the next makes 0.07.
+# How much the ground's slope changes from place to place: the stiffness of a thin plate in terms of a Gaussian process
+# (Wahba, Spline Models for Observational Data, 1990, 2.4), where slopes at distances that differ by a factor of e
+# differ by about WANDER / sqrt(4 pi). Car parks are built with slopes of 1 to 5 %, streets with up to 8 % and a crown
+# of 2 %: a change of 2 % from one to the next makes 0.07.
 WANDER = 0.07
-MOST_DOUBTED = 1500  # nodes of the coarse grid on which that is worked out
+MOST_DOUBTED = 1500  # nodes of the coarse grid on which the sheet's uncertainty is computed
 GROUND_WITHIN = 10  # camera heights from the cameras: vehicles are measured nearer than 3 (view.LOWEST_ELEVATION)
-REACHES_BEYOND = 0.4  # camera heights that the sheet reaches beyond the points
-# Relative to the camera's height: from there a vehicle's size says less than what is known of it beforehand, for
-# vehicles differ by a tenth (the fleets' lengths).
+REACHES_BEYOND = 0.4  # camera heights that the sheet extends beyond the points
+# One sigma of the ground, in camera heights, from which a vehicle's size on it tells less than what is known of
+# vehicles anyway: their lengths differ by a tenth (the fleets').
 NOT_KNOWN = 0.1
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A smooth height field over the plane of `plane_from_world` (3, 3), and one sigma of it on a coarser grid."""
+    """A smooth height field over the plane of `plane_from_world` (3, 3), and its one sigma on a coarser grid."""
 
     plane_from_world: np.ndarray
     corner: np.ndarray  # (2,) plane coordinates of the first node
@@ -57,7 +58,7 @@ class Sheet:
     def fit(cls, points: np.ndarray, centres: np.ndarray, plane_from_world: np.ndarray) -> tuple[Sheet, float]:
         """Fit the sheet to `points` in plane coordinates; returns it and the noise of the ground's points."""
         everything = len(points)
-        # What oblique frames see of the horizon, and stray points, would stretch the grid and lower the ground.
+        # Points near the horizon, from oblique frames, and stray points would stretch the grid and lower the ground.
         reach = GROUND_WITHIN * (np.median(centres[:, 2]) - np.median(points[:, 2]))
         first, last = np.percentile(centres[:, :2], [1, 99], axis=0)
         points = points[((points[:, :2] > first - reach) & (points[:, :2] < last + reach)).all(1)]
@@ -65,7 +66,7 @@ class Sheet:
             raise no_ground()
         low, high = np.percentile(points[:, 2], [5, 60])
         height = np.median(centres[:, 2]) - low
-        points = points - (0, 0, low)  # in a map's coordinates heights are large, and digits would be lost on them
+        points = points - (0, 0, low)  # heights in map coordinates are large, and would cost digits
         # Stray points far outside would stretch the grid for nothing.
         left, right = np.percentile(points[:, :2], [1, 99], axis=0)
         margin = 0.1 * (right - left) + 0.1 * height
@@ -85,7 +86,7 @@ class Sheet:
         at = grid.interpolation(points[:, :2])
         crowd = grid.crowding(points[:, :2])
         noise = 0.02 * height
-        # From a stiff sheet and a wide band to a supple sheet and the noise of the points themselves.
+        # From a stiff sheet and a wide band to a flexible sheet and the noise of the points themselves.
         for stiffness, band in SCHEDULE:
             residual = points[:, 2] - at @ heights
             noise = _noise_below(residual, band * height)
@@ -123,7 +124,7 @@ class Sheet:
         usable &= ray[:, 2] < -1e-3
         ray[~usable] = (0, 0, -1)
 
-        # Newton's method on the tangent plane below the ray's current end; it starts at the height of the middle.
+        # Newton's method on the tangent plane below the ray's current end; it starts at the sheet's median height.
         middle = float(np.median(self.surface.get_coeffs()))
         along = (middle - start[:, 2]) / ray[:, 2]
         for _ in range(20):
@@ -155,8 +156,8 @@ class Sheet:
 def _lowest(grid: Grid, points: np.ndarray, camera_height: float) -> np.ndarray:
     """(nodes,) heights of a stiff first sheet under everything that stands on the ground.
 
-    In wide cells, the lowest height at which a tenth of the cell's points agree; then a sheet through these levels
-    that lets go of levels above it, which are roofs and canopies that filled their cell.
+    Each wide cell gives the lowest level at which a tenth of its points agree. The sheet through these levels gradually
+    ignores levels above it, which are roofs and canopies that filled their cell.
     """
     band = 0.03 * camera_height
     width = max(0.4 * camera_height, 2 * grid.spacing)
@@ -175,8 +176,8 @@ def _lowest(grid: Grid, points: np.ndarray, camera_height: float) -> np.ndarray:
 
 
 def _levels(points: np.ndarray, turn: float, width: float, band: float) -> list[np.ndarray]:
-    """(4,) the middle of the lowest level and the root of its number of points, of each cell that has one; the cells
-    lie turned by `turn` [rad]."""
+    """For each cell that has a lowest level, (4,): the middle of the level, and the square root of its number of
+    points. The cells are rotated by `turn` [rad]."""
     c, s = np.cos(turn), np.sin(turn)
     places = points[:, :2] @ np.array([[c, -s], [s, c]])
     cell = ((places - places.min(0)) / width).astype(int)
@@ -196,16 +197,16 @@ def _levels(points: np.ndarray, turn: float, width: float, band: float) -> list[
 
 
 def _noise_below(residual: np.ndarray, band: float) -> float:
-    """Standard deviation of the ground's points, from those below the sheet: nothing but ground and strays is there."""
+    """Standard deviation of the ground's points, from those below the sheet, where only ground and stray points are."""
     below = -residual[(residual < 0) & (residual > -band)]
     return SPREAD * float(np.median(below)) if len(below) >= 10 else band / 3
 
 
 def _doubt(ground: np.ndarray, noise: float, left: np.ndarray, right: np.ndarray) -> RegularGridInterpolator:
-    """One sigma of the sheet's height between `left` and `right` (2,), by where its `ground` points (M, 2) lie.
+    """One sigma of the sheet's height between `left` and `right` (2,), from the places (M, 2) of its `ground` points.
 
-    The sheet is a Gaussian process whose prior is the bending energy of a thin plate: minus half of the energy over
-    WANDER squared is its log density. Points err by `noise`, those of one node partly alike, as in `Sheet.fit`.
+    The sheet is a Gaussian process whose prior is the bending energy of a thin plate: its log density is minus half of
+    the energy over WANDER squared. Points have errors of `noise`, correlated for points of one node, as in `Sheet.fit`.
     """
     spacing = float(np.sqrt(np.prod(right - left) / MOST_DOUBTED))
     shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)

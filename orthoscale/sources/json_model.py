@@ -1,6 +1,7 @@
 """Reconstructions of other programs: OpenSfM's and ODM's reconstruction.json, nerfstudio's transforms.json.
 
-They are read into the same model as COLMAP's, measured in the same way, and written back as they came, in metres.
+They are read into the same model as COLMAP's, measured in the same way, and written back in their own format, in
+metres.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ from .one_file import OneFileSource
 if TYPE_CHECKING:
     import pycolmap
 
-READ_AT, READ_BYTES = 1000, 4096  # of a long file of tracks: at so many places, so much
-GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
-# OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
+READ_AT, READ_BYTES = 1000, 4096  # a long file of tracks is sampled at READ_AT places, READ_BYTES each
+GPS_DOP = 1000.0  # a DOP from which OpenSfM means that there was no GPS
+# OpenSfM's projection types: COLMAP's camera model and its parameters, from focal lengths, centre [px] and distortion.
 OPENSFM = {
     "perspective": ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
     "simple_radial": ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "0", "0", "0")),
@@ -58,7 +59,7 @@ class ExchangeSource(OneFileSource):
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
-        """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
+        """Open the file `path`; otherwise like `ColmapSource.open`. Raises InputError."""
         path = Path(path)
         stamp = Stamp.of(path)
         model, others, said, tracks = _read(path)
@@ -71,7 +72,7 @@ class ExchangeSource(OneFileSource):
 
     @property
     def metric_already(self) -> str:
-        """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or what any model may show."""
+        """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or as for any model; or empty."""
         text = read_poses(self.path)
         if isinstance(text, dict):
             return "orthoscale wrote it" if MARK in text else self._georeferenced
@@ -83,7 +84,7 @@ class ExchangeSource(OneFileSource):
         return "OpenSfM aligned it with the GPS of its images" if aligned else self._georeferenced
 
     def check_writable(self) -> None:
-        """Raise InputError for a point cloud outside the file's folder: its copy would have no place in another."""
+        """Raise InputError for a point cloud outside the file's folder: its copy would have no place in the output."""
         for path in self._paths[1:]:
             place_beside(path, self.path)
 
@@ -102,7 +103,7 @@ class ExchangeSource(OneFileSource):
 
 
 def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], list[str]]:
-    """The model in the file `path`, other files that belong to it, what there is to say, and its points' tracks."""
+    """The model in the file `path`, other files that belong to it, notes, and the tracks of its points."""
     text = read_poses(path)
     try:
         if isinstance(text, list):
@@ -117,7 +118,7 @@ def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], l
 
 
 def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], list[str]]:
-    """The reconstruction of most images in OpenSfM's list, and a note if there are others."""
+    """The reconstruction with the most images in OpenSfM's list, and a note if there are others."""
     sizes = [len(part["shots"]) for part in text]
     best = text[int(np.argmax(sizes))]
     if len(text) == 1:
@@ -127,10 +128,10 @@ def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], li
 
 
 def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Observations:
-    """Some of what the images saw, by OpenSfM's tracks.csv beside the reconstruction; nothing where that is not there.
+    """A sample of observations from OpenSfM's tracks.csv beside the reconstruction; none if that is missing.
 
-    tracks : of the model's points, in their order. The lines are image, track, feature, x, y and more, with tabs
-    between; x and y as lengths in `_opensfm`. Lines that are no such are passed over.
+    tracks : of the model's points, in their order. The lines hold image, track, feature, x, y and more, separated by
+    tabs; x and y are in units of `_opensfm`. Other lines are skipped.
     """
     images = {image.name: model.camera(image.camera_id) for image in model.images.values()}
     points = {track: k for k, track in enumerate(tracks)}
@@ -150,7 +151,7 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
 
 
 def _some_lines(path: Path) -> Iterator[str]:
-    """The lines of a text file; of a long one some thousands from all of it. Nothing where there is none."""
+    """The lines of a text file; of a long one some thousands, spread over it. None if the file is missing."""
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
@@ -158,7 +159,7 @@ def _some_lines(path: Path) -> Iterator[str]:
             for k in range(parts):
                 file.seek(k * size // parts)
                 lines = file.read(size if parts == 1 else READ_BYTES).decode("utf-8", "replace").split("\n")
-                yield from lines[1:-1]  # the first is a head or, like the last, cut
+                yield from lines[1:-1]  # the first is a header or, like the last, incomplete
     except OSError:
         return
 
@@ -170,7 +171,7 @@ def build_model(
     colours: np.ndarray,
 ) -> pycolmap.Reconstruction:
     """A COLMAP model of `cameras` (model, width, height, parameters), `poses` by image name (camera, camera_from_world
-    rotation (3, 3) and translation (3,)), and `points` (N, 3). Raises ValueError for what cannot be meant."""
+    rotation (3, 3) and translation (3,)), and `points` (N, 3). Raises ValueError for impossible values."""
     from .colmap_library import pycolmap
 
     model = pycolmap.Reconstruction()
@@ -200,11 +201,12 @@ def _unknown_camera(text: str, kind: str, known: Iterable[str]) -> InputError:
 
 
 def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
-    """OpenSfM's lengths in images are shares of the longer side, from the middle; its axes are COLMAP's."""
+    """A model from OpenSfM's: lengths in its images are shares of the longer side, from the middle; its axes are
+    COLMAP's."""
     cameras = {}
     used = {shot["camera"] for shot in part["shots"].values()}
     for key, camera in part["cameras"].items():
-        if key not in used:  # those of all images are listed
+        if key not in used:  # cameras of unregistered images are listed, too
             continue
         kind = camera.get("projection_type", "perspective")
         if kind not in OPENSFM:
@@ -237,12 +239,13 @@ def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
 
 
 def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstruction, list[Path]]:
-    """nerfstudio's poses are world_from_camera with y up and z back, as in OpenGL."""
+    """A model from nerfstudio's, and the file of its point cloud: its poses are world_from_camera with y up and z back,
+    as in OpenGL."""
     cameras: dict[Any, tuple[str, int, int, list[float]]] = {}
     poses = {}
     for frame in text["frames"]:
         own = {**text, **frame}
-        # instant-ngp, and its colmap2nerf.py, tell a fisheye by this alone; its lens is OpenCV's.
+        # instant-ngp and its colmap2nerf.py mark a fisheye by this alone; its lens model is OpenCV's.
         kind = own.get("camera_model", "OPENCV_FISHEYE" if own.get("is_fisheye") else "OPENCV")
         if kind not in NERFSTUDIO:
             raise _unknown_camera(f"{path}: cameras of the model {kind}", kind, NERFSTUDIO)

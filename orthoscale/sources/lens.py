@@ -1,4 +1,4 @@
-"""The lens of a photo: from a calibration file, from a given focal length, or from the photo's own tags."""
+"""The lens of a photo: from a calibration file, a given focal length, or the photo's own tags."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     import pycolmap
 
 DIAGONAL_35MM = math.hypot(36.0, 24.0)  # [mm] what a 35 mm equivalent focal length refers to (CIPA DCG-001-2005)
-# Sensors are 4:3 or 3:2; a wider picture is a crop of one, and its diagonal is not the sensor's. Drones' sensors are
-# 4:3 more often than not, and a crop keeps their full width.
+# Sensors are 4:3 or 3:2; a wider picture is a crop, and its diagonal is not the sensor's. Most sensors of drones are
+# 4:3, and a crop keeps their full width.
 WIDEST_SENSOR = 1.6
 SENSOR_ASPECT = 4 / 3
-# Relative one-sigma of the focal length, by where it comes from: a calibration holds to some tenths of a per cent
-# between flights; what people type and makers engrave to one or two. Assumptions, but for the rounding to whole
-# millimetres of a 35 mm equivalent, which is 0.29 mm.
+# Relative one-sigma of the focal length, by its source: a calibration is good to some tenths of a per cent between
+# flights; nominal values and those that people type to one or two. Assumptions, but for the rounding of a 35 mm
+# equivalent to whole millimetres, which is 0.29 mm.
 CALIBRATED_SD, MAKERS_SD, FOCAL_TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0.01, 0.01, 0.02, 0.03, 0.1
 ROUNDING_MM = 0.29
 LENS_HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
-LARGEST_VALUE = 1e7  # of a camera's size and parameters; pixels
-IMPLAUSIBLE = 0.25  # log: a focal length further than this from the 35 mm equivalent has another unit, or another size
+LARGEST_VALUE = 1e7  # of a camera's size and parameters [px]
+IMPLAUSIBLE = 0.25  # [log] a focal length this far from the nominal one is in another unit, or for another image size
 
 
 @dataclass(frozen=True)
 class Lens:
-    """camera : with the photo's size. sd : relative one-sigma of its focal length. source : where it is from."""
+    """camera : for the photo's size. sd : relative one-sigma of its focal length. source : its origin, in words."""
 
     camera: pycolmap.Camera
     sd: float
@@ -45,10 +45,10 @@ class Lens:
 
 
 def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = None) -> Lens:
-    """The lens of the photo with these `tags`; a calibration or a told focal length [px] goes first.
+    """The lens of the photo with these `tags`; a calibration or a given focal length [px] takes precedence.
 
-    Raises UsageError where both are told, InputError for a calibration that does not fit the photo, or where no focal
-    length is known.
+    Raises UsageError if both are given, InputError for a calibration that does not fit the photo, or if no focal length
+    is known.
     """
     if lens_file is not None and focal_px is not None:
         raise UsageError("--lens and --focal-px set the same thing twice", "Give one of them.")
@@ -63,7 +63,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     nominal = _nominal(tags, share, whole)
     if tags.dewarp is not None and _plausible(tags.dewarp[0] * share, nominal):
         fx, fy, cx, cy, k1, k2, p1, p2, k3 = tags.dewarp
-        if tags.turned or size != whole:  # which way, and what was cut off, is not known
+        if tags.turned or size != whole:  # the direction of the turn, or what was cut off, is not known
             focal = math.sqrt(fx * fy) * share
             return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's DewarpData")
         middle = (size[0] / 2 + cx * share, size[1] / 2 + cy * share)
@@ -80,10 +80,10 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
 
 
 def _share(tags: Tags) -> tuple[float, tuple[int, int]]:
-    """How many pixels of the photo one of the picture that the camera wrote is, by the size that EXIF tells, and how
-    large that picture would be in the photo's pixels.
+    """Photo pixels per pixel of the picture that the camera wrote, by its size in EXIF; and the size of that picture in
+    photo pixels.
 
-    Raises InputError for a photo that was cropped and may have been made smaller as well.
+    Raises InputError for a photo that was cropped and may have been reduced as well.
     """
     size = width, height = tags.width, tags.height
     if tags.full_height is None or tags.of_shape(tags.full_width, tags.full_height):
@@ -91,7 +91,7 @@ def _share(tags: Tags) -> tuple[float, tuple[int, int]]:
     if tags.turned:
         return width / tags.full_height, size
     told = tags.full_width, tags.full_height
-    if width > told[0] and height > told[1]:  # of a thumbnail
+    if width > told[0] and height > told[1]:  # EXIF has the size of a thumbnail
         return 1.0, size
     if (width == told[0] and height < told[1]) or (height == told[1] and width < told[0]):  # as 16:9 of 4:3
         return 1.0, told
@@ -106,7 +106,7 @@ def _plausible(focal_px: float, nominal: Lens | None) -> bool:
 
 
 def _nominal(tags: Tags, share: float, whole: tuple[int, int]) -> Lens | None:
-    """By the focal length that EXIF tells, in millimetres or as a 35 mm equivalent; `share` and `whole` by `_share`."""
+    """The lens by the focal length in EXIF, in millimetres or as a 35 mm equivalent; `share`, `whole` : by `_share`."""
     equivalent = _equivalent(tags, whole)
     if tags.focal_mm and tags.plane_px_per_mm:
         focal = tags.focal_mm * tags.plane_px_per_mm * share * tags.digital_zoom
@@ -121,7 +121,7 @@ def _nominal(tags: Tags, share: float, whole: tuple[int, int]) -> Lens | None:
 
 
 def _equivalent(tags: Tags, whole: tuple[int, int]) -> Lens | None:
-    """By the 35 mm equivalent, of a picture of size `whole` [px of the photo]."""
+    """The lens by the 35 mm equivalent, for a picture of size `whole` [px of the photo]."""
     if not tags.focal_35mm:
         return None
     wide, high = max(whole), min(whole)
@@ -157,7 +157,7 @@ def brown(
 
 
 def read_calibration(path: Path) -> pycolmap.Camera:
-    """The camera in a calibration file, of the size that it was calibrated at.
+    """The camera in a calibration file, for the image size that was calibrated.
 
     Three forms: COLMAP's ``cameras.txt`` with one camera; the XML that Metashape exports; JSON with ``width``,
     ``height``, ``fx`` (or ``focal_px``), and where known ``fy``, ``cx``, ``cy``, ``k1``, ``k2``, ``p1``, ``p2``,

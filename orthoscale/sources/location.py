@@ -1,4 +1,4 @@
-"""Where on the Earth an input lies, by its own metadata: from it the fleet follows."""
+"""Where on Earth an input lies, by its own metadata; the fleet is chosen by it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..errors import InputError
 from ..formats.degrees import to_degrees
 
 REFERENCE = "reference_lla.json"  # OpenSfM's and OpenDroneMap's, beside the reconstruction
-PICTURES_ASKED = 5  # pictures that are asked; a flight is in one country
+PICTURES_ASKED = 5  # pictures whose EXIF is read; a flight is in one country
 
 
 @dataclass(frozen=True)
 class Location:
-    """longitude, latitude : [degrees, WGS 84]. told_by : what says so, for people."""
+    """longitude, latitude : [degrees, WGS 84]. told_by : the source of the position, in words."""
 
     longitude: float
     latitude: float
@@ -28,9 +28,9 @@ class Location:
 
 
 def location_of(source: Source) -> Location | None:
-    """The place of an orthophoto or a reconstruction: by its georeferencing or ground control points where they are to
-    be believed (`georeference.Claim.usable`), by OpenSfM's reference beside it, or by the GPS position in a picture's
-    EXIF; None where nothing says."""
+    """The place of an orthophoto or a reconstruction: by its georeferencing or ground control points if they can be
+    trusted (`georeference.Claim.usable`), by OpenSfM's reference beside it, or by the GPS position in a picture's EXIF;
+    None if there is none of these."""
     if (plan := source.plan) is not None and (place := _of_claim(plan.claimed, plan.width, plan.height)) is not None:
         return place
     folder = source.path if source.path.is_dir() else source.path.parent

@@ -1,4 +1,4 @@
-"""Where an input lies on a georeferenced map of another date, and the georeferencing that its copy takes from there."""
+"""Where an input lies on a georeferenced map of another date, and the georeferencing that its copy gets from there."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from ..core.source import Placement
 
 @dataclass(frozen=True)
 class OnMap:
-    """What a map says.
+    """The result of matching an input with a map.
 
-    evidence : one piece, or none where the input was not found on it. notes : what a user should know.
-    crs, affine : the map's coordinates, and (2, 3) into them from an orthophoto's pixels, to which it gives `gsd_m`
-    [m/px]; None for a reconstruction, and where nothing was found. size : of the orthophoto [px]. name : of the map.
+    evidence : one piece, or none if the input was not found on the map. notes : what a user should know.
+    crs, affine : the map's coordinate system, and (2, 3) from an orthophoto's pixels into it; None for a
+    reconstruction, and if nothing was found. gsd_m : of the orthophoto by the map [m/px]. size : of the orthophoto
+    [px]. name : of the map.
     """
 
     evidence: tuple[Evidence, ...] = ()
@@ -29,8 +30,8 @@ class OnMap:
     name: str = ""
 
     def place(self, metres_per_pixel: float) -> Placement | None:
-        """The georeferencing of a copy of this scale: the map's direction, and its place for the orthophoto's middle;
-        None without one."""
+        """The georeferencing of a copy with this scale: its direction and the place of its middle are those on the map;
+        None if it was not found there."""
         if self.affine is None:
             return None
         from rasterio.transform import Affine

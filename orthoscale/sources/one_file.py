@@ -16,22 +16,22 @@ from .fingerprint import require_unchanged
 if TYPE_CHECKING:
     import pycolmap
 
-DIGITS = 1e-6  # of the model's size: what a point cloud in single precision may be off
+DIGITS = 1e-6  # rounding error of a point cloud in single precision, as a share of the model's size
 
 
 class OneFileSource(ColmapSource):
-    """A reconstruction in one file of another program; `path` is the file, `folder` the file's."""
+    """A reconstruction in one file of another program; `path` is the file, `folder` the folder that it lies in."""
 
     @cached_property
     def dense(self) -> Path:
-        """There is none of COLMAP's."""
+        """Raises UsageError: there is no dense workspace of COLMAP."""
         raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the file in metres into the empty `folder`, with what belongs to it, and `Sim3.save`'s files.
+        """Write the file in metres into the empty `folder`, with what belongs to it, and the files of `Sim3.save`.
 
         Raises UsageError for an impossible scale, InputError for a file that was changed since it was opened,
-        OutputError if what was written does not read back as it was meant.
+        OutputError if the written file does not read back as the scaled model.
         """
         sim3 = Sim3(float(metres_per_unit))
         out = folder / self.path.name
@@ -48,7 +48,7 @@ class OneFileSource(ColmapSource):
 
     @abstractmethod
     def _write_file(self, out: Path, scale: float) -> None:
-        """Write the file, its lengths times `scale`, to `out`, and what belongs to it beside that."""
+        """Write the file with its lengths times `scale` to `out`, and what belongs to it beside that."""
 
     @abstractmethod
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from .colmap import ColmapSource
 
 
-AN_INPUT = "the path of an orthophoto or of a model"  # as a message calls it
-NO_CLOUD = "none"  # instead of the name of a dense cloud: the ground is found from the sparse points alone
+AN_INPUT = "the path of an orthophoto or of a model"  # for messages
+NO_CLOUD = "none"  # instead of the name of a dense cloud: find the ground from the sparse points alone
 
 
 def open_source(
@@ -33,7 +33,7 @@ def open_source(
     """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError.
 
     ground_cloud : dense cloud or workspace of a reconstruction; by default one is searched for beside it, and NO_CLOUD
-    means none. progress : of reading it, when the ground is needed.
+    means none. progress : of reading the cloud, once the ground is needed.
     """
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
@@ -62,7 +62,7 @@ def open_source(
 
 
 def _on_cloud(source: ColmapSource, named: str | Path | None, progress: Progress | None) -> ColmapSource:
-    """`source` with the dense cloud that its ground is found on."""
+    """`source` with the dense cloud from which its ground is found, if there is one."""
     from .dense_cloud import cloud_at, find_cloud
 
     if named is not None:
@@ -73,6 +73,6 @@ def _on_cloud(source: ColmapSource, named: str | Path | None, progress: Progress
         return source
     try:
         return source.on_cloud(cloud)
-    except InputError as error:  # nobody named it: the sparse points will do
+    except InputError as error:  # the user did not name it: the sparse points will do
         source.notes.append(Remark(CAUTION, f"{cloud.what} is left out: {error.message}"))
         return source

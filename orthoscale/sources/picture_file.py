@@ -20,8 +20,8 @@ from ..formats.reading import refuse_pointer
 from ..system import budget
 from .fingerprint import Stamp, changed, fingerprint
 
-# Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
-# on one is large: decoded no finer than needed, one at a time, and kept alone.
+# Shares of the memory budget: what small decoded pictures may take together; and from which size on a picture is large:
+# it is then decoded no finer than needed, one at a time, and kept alone.
 KEPT_SHARE, LARGE_SHARE = 1 / 8, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -32,8 +32,8 @@ REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.
 class PictureFile:
     """A `Picture` in a JPEG, PNG or TIFF file of `width` x `height` px, decoded whole when it is first read.
 
-    The EXIF orientation is ignored, as COLMAP does. The latest frames stay in memory, the others are let go. A large
-    JPEG is decoded at a half, a quarter or an eighth of its size where no more is wanted.
+    The EXIF orientation is ignored, as in COLMAP. The latest frames stay in memory, the others are dropped. A large
+    JPEG is decoded at a half, a quarter or an eighth of its size if no more is needed.
     """
 
     name: str
@@ -57,27 +57,27 @@ class PictureFile:
 
     @contextmanager
     def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
-        """The whole picture, BGR and read-only, for as long as the block lasts, and by how much it is smaller than the
-        file's: 1, or for a large one, of which no more than a `shrink`-th is wanted, up to 8. Raises as `read`."""
+        """The whole picture, BGR and read-only, for as long as the block lasts, and the factor by which it is reduced:
+        1, or up to 8 for a large picture if it is needed at a `shrink`-th of its size only. Raises as `read`."""
         factor = next((f for f in (8, 4, 2) if f <= shrink), 1) if self.large else 1
         size = 3 * self.width * self.height // factor**2
         with memory.holding((self.stamp(), factor), size, lambda: self._decoded(factor)) as pixels:
             yield pixels, factor
 
     def stamp(self) -> Stamp:
-        """Of the content that it has now. Raises InputError, also where work on another content is being cached."""
+        """The stamp of its current content. Raises InputError, also if cached work is keyed by another content."""
         now = Stamp.of(self.path)
         if self._keyed is not None and not now.same_elsewhere(self._keyed):
             raise changed(self.path)
         return now
 
     def fingerprint(self) -> str:
-        """What cached work on this frame is keyed by; from now on it has to keep its content. Raises InputError."""
+        """Key of cached results for this frame. From now on its content must not change. Raises InputError."""
         self._keyed = self.stamp()
         return fingerprint([self.path])
 
     def check_size(self) -> None:
-        """Raise InputError if the file's header tells another size than this picture's; pixels are not decoded."""
+        """Raise InputError if the file's header has another size than this picture; pixels are not decoded."""
         size = stored_size(self.path)
         if size is not None:
             self._require(size)
@@ -119,13 +119,13 @@ def resized(window: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def covering(x: int, y: int, width: int, height: int, factor: int) -> tuple[int, int, int, int]:
-    """Left, top, right and lower end of the window in a picture of a `factor`-th of the size, rounded outwards."""
+    """Left, top, right and lower end of the window in a picture that is reduced by `factor`, rounded outwards."""
     return x // factor, y // factor, -(-(x + width) // factor), -(-(y + height) // factor)
 
 
 def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], width: int, height: int) -> np.ndarray:
-    """The `window` (x, y, width, height) of a picture at another size, from the `pixels` `covering` it: exactly
-    the window, whose ends may lie within a pixel of theirs."""
+    """The `window` (x, y, width, height) of a picture, resampled to `width` x `height`, from `pixels` reduced by
+    `factor` that cover it (`covering`). The window's exact ends may lie within one of these pixels."""
     if factor == 1:
         return resized(pixels, width, height)
     step = np.array(window[2:]) / (width, height) / factor
@@ -137,7 +137,7 @@ def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], w
 
 
 class Memory:
-    """Decoded pictures, the latest used last; the earliest are let go when they take more than their share."""
+    """Decoded pictures, the most recently used last; the first ones are dropped if all take more than KEPT_SHARE."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, np.ndarray] = OrderedDict()
@@ -146,7 +146,8 @@ class Memory:
 
     @contextmanager
     def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
-        """What `key` stands for: kept, or made by `make` [`size` bytes]; while a large one is held no other is made."""
+        """The picture of `key`, stored or made by `make` [`size` bytes]; while a large one is held no other large one
+        is made."""
         if size <= LARGE_SHARE * budget.memory():
             yield self._get(key, size, make)
         else:
@@ -175,12 +176,12 @@ memory = Memory()
 
 
 def _decode(path: Path, factor: int) -> np.ndarray:
-    """BGR pixels of the file at a `factor`-th of its size."""
+    """BGR pixels of the file, reduced by `factor`."""
     flag = REDUCED.get(factor, cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = None
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            # OpenCV fills what is missing of a truncated file with grey and says nothing.
+            # OpenCV silently fills the missing part of a truncated file with grey.
             if _is_complete(data):
                 pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
     except OSError as error:
@@ -194,7 +195,7 @@ def _decode(path: Path, factor: int) -> np.ndarray:
 
 
 def _in_strips(path: Path) -> np.ndarray | None:
-    """BGR pixels of a plain JPEG or PNG, decoded by GDAL some rows at a time; None where it is another kind of file."""
+    """BGR pixels of a plain JPEG or PNG, decoded by GDAL some rows at a time; None for other kinds of files."""
     from rasterio.enums import ColorInterp
     from rasterio.windows import Window
 
@@ -216,7 +217,7 @@ def _in_strips(path: Path) -> np.ndarray | None:
                 read = file.read(bands, window=Window(0, top, file.width, rows))
                 pixels[top : top + rows] = read.transpose(1, 2, 0)
             return pixels
-    except (*GDAL_ERRORS, ValueError):  # OpenCV will say so, or read it
+    except (*GDAL_ERRORS, ValueError):  # OpenCV will report it, or read the file
         return None
 
 
@@ -236,7 +237,7 @@ def _is_complete(data: bytes | mmap.mmap) -> bool:
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) [px] from the header of an image, before any EXIF rotation; None where it does not tell."""
+    """(width, height) [px] from the header of an image, before any EXIF rotation; None if it cannot be read."""
     try:
         with path.open("rb") as file:
             data = file.read(1 << 20)
@@ -254,7 +255,7 @@ def stored_size(path: Path) -> tuple[int, int] | None:
 
 
 def _told_by_gdal(path: Path) -> tuple[int, int] | None:
-    """Of a TIFF: of more kinds than Pillow knows, the header only."""
+    """Size of a TIFF, from its header; GDAL knows more kinds than Pillow."""
     from .gdal import GDAL_ERRORS, guarded, open_dataset
 
     try:
@@ -272,12 +273,12 @@ def _told_by_pillow(path: Path) -> tuple[int, int] | None:
             warnings.simplefilter("ignore")
             with Image.open(path) as image:  # of any size: nothing is decoded
                 return image.size
-    except Exception:  # Pillow's readers raise whatever a damaged file makes of them
+    except Exception:  # for a damaged file Pillow's readers may raise anything
         return None
 
 
 def _jpeg_marker(data: bytes | mmap.mmap, *wanted: int) -> int | None:
-    """Where the first segment of a `wanted` kind starts; others are stepped over, with the thumbnails in them."""
+    """Where the first segment of a `wanted` kind starts. Others are skipped, with the thumbnails in them."""
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         if data[at + 1] in wanted:

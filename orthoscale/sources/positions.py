@@ -1,4 +1,4 @@
-"""The GPS positions in the tags of a reconstruction's frames, and the scale that they give it."""
+"""The scale of a reconstruction by the GPS positions in the tags of its frames."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from .tags import Tags
 
 TAKEN = "%Y:%m:%d %H:%M:%S"  # EXIF 2.32, DateTimeOriginal
-SPACING = 3.0  # [s] between frames whose tags tell no time: mapping drones take one every 2 to 5 s
+SPACING = 3.0  # [s] between frames whose tags have no time: mapping drones take one every 2 to 5 s
 
 
 def gps_scale(source: PosedSet) -> GpsScale:
-    """What the positions of the frames of `source` say of its scale."""
+    """The scale of `source` by the positions of its frames, or why there is none."""
     names, tags = _tagged(source)
     if not names:
         return GpsScale()
     try:
         units = source.ground.plane(np.array([source.centre(name) for name in names]))
-    except OrthoscaleError:  # which measuring tells
+    except OrthoscaleError:  # no ground: the measurement reports it
         return GpsScale()
     found, why = by_positions(units, _local_metres(tags), _seconds(tags))
     if found is None:
@@ -37,7 +37,7 @@ def gps_scale(source: PosedSet) -> GpsScale:
 
 
 def _tagged(source: PosedSet) -> tuple[list[str], list[Tags]]:
-    """Names and tags of the frames at hand that have a position; of many frames every n-th is asked."""
+    """Names and tags of the available frames that have a position; of many frames only every n-th is read."""
     from .tags import read_tags
 
     pictures = [picture for picture in source.pictures if hasattr(picture, "path")]
@@ -54,17 +54,17 @@ def _tagged(source: PosedSet) -> tuple[list[str], list[Tags]]:
 
 
 def _local_metres(tags: Sequence[Tags]) -> np.ndarray:
-    """(N, 2) east and north of the middle one [m]."""
+    """(N, 2) east and north of their median position [m]."""
     import pyproj
 
     lon, lat = np.array([told.lon_lat for told in tags]).T
-    lon = np.unwrap(lon, period=360)  # a flight over the 180th meridian goes on
+    lon = np.unwrap(lon, period=360)  # no jump at the 180th meridian
     local = pyproj.Proj(proj="aeqd", lon_0=float(np.median(lon)), lat_0=float(np.median(lat)), ellps="WGS84")
     return np.stack(local(lon, lat), 1)
 
 
 def _seconds(tags: Sequence[Tags]) -> np.ndarray:
-    """(N,) when they were taken, from the first on; in their order, SPACING apart, where one does not tell."""
+    """(N,) time at which each was taken, after the first [s]; if one has no time, SPACING apart in their order."""
     try:
         times = [datetime.strptime(told.taken, TAKEN) for told in tags]
     except ValueError:

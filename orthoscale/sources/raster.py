@@ -38,7 +38,7 @@ from .raster_display import Display
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them along, or write the VRT anew."
 
-STATISTICS = ".aux.xml"  # GDAL's and QGIS's, which may write it anew at any time; no pixels are in it
+STATISTICS = ".aux.xml"  # GDAL and QGIS may write it at any time; it holds no pixels
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -58,9 +58,9 @@ class RasterSource:
     ever written beside it. Reads take a lock, so that a reader thread may share it with the thread that opened it.
 
     path : the file.
-    unit : ``"m/px"``, what a scale of this source means.
+    unit : ``"m/px"``, of a scale of this source.
     notes : what the user should know about how the image is read or was written.
-    claimed : what its georeferencing says; see `georeference.Claim`.
+    claimed : the scale that its georeferencing states; see `georeference.Claim`.
     """
 
     unit = PER_PIXEL
@@ -76,7 +76,7 @@ class RasterSource:
         self._stamps = {path: stamp}
         for file in self.files:
             if not file.name.endswith(STATISTICS):
-                with suppress(InputError):  # what is missing beside it is said where it is needed
+                with suppress(InputError):  # a missing file is reported where it is needed
                     self._stamps[file] = Stamp.of(file)
         self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
@@ -89,7 +89,7 @@ class RasterSource:
         without = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
-        self._read_from = dataset  # or, from the first look on, a copy of it in blocks
+        self._read_from = dataset  # or, after the first read, a copy of it in blocks
         self.claimed = claim_of(dataset, projection)
         if said := other_claims(path, dataset, self.claimed):
             counts = f"{self.claimed.gsd_m:.4g} m/px is taken for its claim, as GDAL and QGIS do, but {', '.join(said)}"
@@ -173,29 +173,29 @@ class RasterSource:
 
     @property
     def posed(self) -> None:
-        """An image by itself has no pose."""
+        """None: an image by itself has no pose."""
         return None
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]. Of
-        a picture that shows the ground mirrored, that is the corner of its first row, as in a copy in local metres."""
+        """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]. If
+        the picture shows the ground mirrored, that corner is in its first row, as in a copy in local metres."""
         up = place[:, 1] if self.claimed.mirrored else self.height - place[:, 1]
         return np.stack([place[:, 0], up], -1) * self._square
 
     def locate(self, point: str) -> Located:
-        """Where the pixel that ``X,Y`` means would be if pixels were square; an orthophoto has no ground beside itself.
-        Raises ValueError."""
+        """The place of the pixel ``X,Y`` if pixels were square. A point cannot be off the ground here. Raises
+        ValueError."""
         place = pixel(point, self.width, self.height, "a point of an orthophoto") * self._square
         return Located(place, READING_SD, np.zeros(2))
 
     @property
     def _square(self) -> np.ndarray:
-        """(2,) width and height of a pixel in those of a square one of the same area."""
+        """(2,) width and height of a pixel, relative to a square one of the same area."""
         return square_pixels(self.claimed.aspect)
 
     @property
     def metric_already(self) -> str:
-        """Why this image counts as metric, empty if it does not: georeferencing that may be believed."""
+        """Why this image counts as metric, empty if it does not: it has georeferencing that can be trusted."""
         if not self.claimed.usable:
             return ""
         return f"its georeferencing says {self.claimed.gsd_m:.4g} m/px ({self.claimed.why})"
@@ -207,15 +207,15 @@ class RasterSource:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file. Also done at the end of a ``with`` block."""
+        """Close the file. Also done at the end of a ``with`` block."""
         self._read_from.close()
         self._dataset.close()
         if self._scratch is not None:
             self._scratch.close()
 
     def content_hash(self) -> str:
-        """SHA-256 of the file as it lies on disk, in hex; of a VRT, not of what it refers to. Raises InputError where
-        one of its files was changed since it was opened: it would be the hash of what was not looked at."""
+        """SHA-256 of the file on disk, in hex; of a VRT, not of the files that it refers to. Raises InputError if one
+        of its files was changed since it was opened: the hash would be that of data that was not used."""
         self._require_unchanged()
         try:
             with self.path.open("rb") as file:
@@ -231,15 +231,15 @@ class RasterSource:
         return [*map(Path, self._dataset.files), *self._projection]
 
     def fingerprint(self) -> str:
-        """What cached work on this image is keyed by: the content of all its files, sampled where it is large.
+        """Key of cached results for this image: of the content of all its files, sampled in large ones.
 
-        Raises InputError where one was changed since it was opened: the pixels that it gives may be those of before.
+        Raises InputError if one was changed since it was opened: `read` may still give the former pixels.
         """
         self._require_unchanged()
         return fingerprint(self.files)
 
     def _require_unchanged(self) -> None:
-        """Raise InputError where one of its files was changed since it was opened."""
+        """Raise InputError if one of its files was changed since it was opened."""
         require_unchanged(self._stamps.values())
 
     def __reduce__(self) -> tuple:
@@ -287,7 +287,7 @@ class RasterSource:
         return self._display.rgb(self._read_from.read(bands, window=window, out_shape=shape, resampling=resampling))
 
     def _read_unmixed(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """The same of values that GDAL must not resample: up to 4 x 4 pixels per result are averaged."""
+        """The same for values that GDAL must not resample: up to 4 x 4 pixels per result are averaged."""
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
         rgb = self._shown(window, shape, Resampling.nearest)
         if shape != out:
@@ -297,8 +297,8 @@ class RasterSource:
 
     @property
     def _needs_blocks(self) -> bool:
-        """Whether each window would be decoded from the image's top again: it has no blocks, and is too large for GDAL
-        to keep it decoded."""
+        """Whether each window would be decoded from the image's top again, since it has no blocks and is too large for
+        GDAL's cache."""
         return (
             self._blocks.in_order
             and self._read_from is self._dataset
@@ -321,14 +321,14 @@ class RasterSource:
                 "Let TMPDIR name a folder with more room, or convert it to a tiled GeoTIFF.",
             )
         copy = scratch.folder / "blocks.tif"
-        # Fast to write and to read; its place on Earth does not matter there.
+        # Fast to write and to read; its georeferencing does not matter.
         self._original.convert(
             copy, CopyGeoreference(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1
         )
         self._read_from = open_dataset(copy)
         self._scratch = scratch
 
-    # What is looked at once, at opening
+    # Checks at opening
 
     def _check_size(self) -> None:
         dataset = self._dataset
@@ -350,7 +350,7 @@ class RasterSource:
 
     def _read_last(self) -> None:
         """Find damage without reading everything: decode the last block."""
-        # One pixel decodes its whole block; asked for a whole PNG at once, GDAL takes a way that tolerates truncation.
+        # One pixel decodes its whole block. For a whole PNG at once, GDAL would use code that tolerates truncation.
         with self._damage("at its end"):
             self._dataset.read(window=Window(self.width - 1, self.height - 1, 1, 1))
 
@@ -374,21 +374,21 @@ class RasterSource:
     ) -> None:
         """Write a GeoTIFF with the same pixels and the measured scale.
 
-        A TIFF of one image is copied and only its georeferencing is replaced; anything else is written losslessly
-        (deflate, tiles, BigTIFF by need), of several images the first. Bands, type, nodata, alpha, mask, palette, tags
-        and overviews stay. Former georeferencing, ground control points and rational polynomials do not; `notes` says
-        so.
+        A TIFF of one image is copied, and only its georeferencing is replaced. Anything else is written losslessly
+        (deflate, tiles, BigTIFF if needed); of several images only the first. Bands, type, nodata, alpha, mask,
+        palette, tags and overviews stay. Former georeferencing, ground control points and rational polynomials do not;
+        `notes` says so.
         The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
 
         path : where to write; an existing file is replaced. Use `orthoscale.system.outputs` around it.
         metres_per_pixel : [m/px] the measured scale.
         place : the georeferencing that it gets; by default local metres, north up, origin at the lower left corner.
         cog : write a cloud-optimised GeoTIFF (lossless, deflate), with overviews.
-        said : of the scale, a line for whoever gets the file without its report: its metadata ORTHOSCALE_SCALE.
+        said : a line on the scale for whoever gets the file without its report: its metadata ORTHOSCALE_SCALE.
 
-        Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError when
-        the input turns out to be damaged, or was changed since it was opened; OutputError when the copy cannot be
-        written or does not read back alike.
+        Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError if the
+        input turns out to be damaged, or was changed since it was opened; OutputError if the copy cannot be written or
+        does not read back the same.
         """
         path = Path(path)
         if not (math.isfinite(metres_per_pixel) and metres_per_pixel > 0):
@@ -413,7 +413,7 @@ class RasterSource:
 
 @lru_cache(maxsize=4)
 def _shared(path: str, stamp: Stamp) -> RasterSource:
-    """The image with the content that `stamp` tells of. Raises InputError where it has another now."""
+    """The image at `path`. Raises InputError if its content is not that of `stamp`."""
     source = RasterSource.open(path)
     if not source._stamps[source.path].same_elsewhere(stamp):
         source.close()

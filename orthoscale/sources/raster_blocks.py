@@ -1,4 +1,4 @@
-"""The blocks in which a raster lies in its file: which there are, and whether one can be read by itself."""
+"""The blocks of a raster in its file: which of them exist, and whether one can be read by itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..system.budget import require
 from .gdal import EXPORT_AGAIN
 from .tiff_blocks import blocks_of
 
-# Formats that can be decoded from the top only.
+# Formats that can be decoded only from the top.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
 
@@ -24,8 +24,8 @@ _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG",
 class RasterBlocks:
     """in_order : whether each window is decoded from the image's top.
 
-    written : (rows, columns) bool, which blocks of a sparse TIFF were ever written; None where all were. shape : rows
-    and columns of pixels of one block of these.
+    written : (rows, columns) bool, which blocks of a sparse TIFF were ever written; None if all were. shape : of one of
+    these blocks, rows and columns [px].
     """
 
     in_order: bool
@@ -34,10 +34,10 @@ class RasterBlocks:
 
     @classmethod
     def of(cls, path: Path, dataset: DatasetReader) -> RasterBlocks:
-        """Those of an open image.
+        """The blocks of an open image.
 
-        Raises InputError for a TIFF whose directory does not say where all its pixels are, or whose blocks are too
-        large for the memory budget. Blocks that were never written (GDAL's SPARSE_OK) are no damage, but show nothing.
+        Raises InputError for a TIFF whose directory does not locate all its pixels, or whose blocks are too large for
+        the memory budget. Blocks that were never written (GDAL's SPARSE_OK) are not damage, but show nothing.
         """
         if dataset.driver != "GTiff":
             return cls(dataset.driver in _IN_ORDER)
@@ -71,7 +71,7 @@ class RasterBlocks:
         return cls(in_order, np.asarray((offset > 0).reshape(shape).any(0)), (rows, columns))
 
     def written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """(out) bool: where the `window`, resampled to `out`, shows blocks that were ever written."""
+        """Bool of shape `out`: where the `window`, resampled to that shape, shows blocks that were ever written."""
         if self.written is None:
             return np.ones(out, bool)
         rows, columns = self.shape

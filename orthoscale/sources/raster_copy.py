@@ -25,24 +25,25 @@ from ..formats.names import in_utf8
 from ..system.signatures import signature
 from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
 
-_STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
-_CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
+_STRIP = 256  # [px] height of the strips in which whole images are read, and side of the tiles that are written
+_CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may have no room for another directory
 _WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
 _PROFILE = "COLOR_PROFILE", "SOURCE_ICC_PROFILE"  # GDAL's domain and name of an ICC profile, base64
-_TRANSPARENT = "NODATA_VALUES"  # GDAL's tag of a colour that has no data: a value for each band
+_TRANSPARENT = "NODATA_VALUES"  # GDAL's tag for a colour that means no data: a value for each band
 # Domains of metadata that are not copied: GDAL's own, those of the file's structure, those of former georeferencing,
-# and a profile, which is no metadata in a TIFF. Of XML only XMP is: of the rest much is former georeferencing.
+# and a profile, which is not metadata in a TIFF. Of XML domains only XMP is copied: much of the rest is former
+# georeferencing.
 _OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
-SCALE_TAG = "ORTHOSCALE_SCALE"  # metadata of a copy: its scale in words, which travels with it as the report may not
-_XMP = "xml:XMP"  # GDAL's domain and name of XMP: who made the picture, with what, whose it is
+SCALE_TAG = "ORTHOSCALE_SCALE"  # metadata of a copy: its scale in words, which stays with the file, unlike the report
+_XMP = "xml:XMP"  # GDAL's domain and name of XMP: author, camera, rights
 
 
 @dataclass(frozen=True)
 class Original:
     """An open image that is copied.
 
-    path, dataset : its file, and what GDAL sees of it. paletted : whether its values are numbers of colours.
-    lock : of all who read it.
+    path, dataset : its file, and GDAL's dataset for it. paletted : whether its values are indices into a palette.
+    lock : that all readers of the dataset take.
     """
 
     path: Path
@@ -52,8 +53,8 @@ class Original:
 
     def write(self, path: Path, place: Placement, cog: bool = False, said: str = "") -> None:
         """Write the copy, see `RasterSource.write`. Raises InputError for a damaged original; OutputError for a copy
-        that cannot be written or does not read back alike."""
-        plain = path.with_name(f"plain.{path.name[-100:]}") if cog else path  # a long name has no room for more
+        that cannot be written or does not read back the same."""
+        plain = path.with_name(f"plain.{path.name[-100:]}") if cog else path  # shortened: names have a limited length
         try:
             with guarded():
                 if self._can_be_copied():
@@ -66,7 +67,7 @@ class Original:
                     copy.update_tags(WRITTEN_BY=signature(path), **({SCALE_TAG: in_utf8(said)} if said else {}))
                 if cog:
                     self._optimise(plain, path)
-                # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
+                # It would hold what a GeoTIFF cannot, and would be lost when the file is renamed.
                 _remove(Path(f"{path}.aux.xml"))
                 self._verify(path, place)
         except GDAL_ERRORS as error:
@@ -84,23 +85,23 @@ class Original:
 
     @property
     def images(self) -> int:
-        """How many there are in its file."""
+        """Number of images in its file."""
         return max(1, len(self.dataset.subdatasets))
 
     @property
     def has_several_nodata(self) -> bool:
-        """Whether its bands have different nodata values; a GeoTIFF has room for one, and the copy gets a mask."""
+        """Whether its bands have different nodata values. A GeoTIFF can hold only one, so the copy gets a mask."""
         return len(self._nodata()) > 1 and not self._has_transparent_colour
 
     @property
     def _has_transparent_colour(self) -> bool:
-        """Whether a tag says which colour has no data, as for a PNG: GDAL makes the mask of it, for a TIFF too."""
+        """Whether a tag says which colour means no data, as for a PNG: GDAL makes the mask from it, also for a TIFF."""
         return _TRANSPARENT in self.dataset.tags()
 
     def _can_be_copied(self) -> bool:
-        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those) or
-        other images (which would keep their former georeferencing), and with room for a new directory at its end if it
-        is a classic one, whose offsets have 32 bits."""
+        """Whether it is a TIFF with all its pixels in the one file, without rational polynomials (rasterio cannot
+        remove those) or other images (which would keep their former georeferencing), and with room for a new directory
+        at its end if it is a classic one, whose offsets have 32 bits."""
         dataset = self.dataset
         in_one_file = not any(f.endswith(".msk") for f in dataset.files) and not self.has_several_nodata
         alone = not dataset.rpcs and self.images == 1
@@ -112,14 +113,14 @@ class Original:
         return big or self.path.stat().st_size < _CLASSIC
 
     def _nodata(self) -> set[str]:
-        """The bands' different nodata values, as text, in which NaN equals NaN."""
+        """The bands' different nodata values, as text, so that NaN equals NaN."""
         return {repr(v) for v in self.dataset.nodatavals}
 
     def _optimise(self, plain: Path, path: Path) -> None:
-        """A cloud-optimised copy of the GeoTIFF `plain`. Always deflate: what JPEG compressed once stays as it was
-        decoded, at the cost of a larger file."""
+        """Write a cloud-optimised copy of the GeoTIFF `plain` to `path`. Always deflate: pixels that were once
+        compressed as JPEG stay as they were decoded, at the cost of a larger file."""
         predictor = "FLOATING_POINT" if np.result_type(*self.dataset.dtypes).kind == "f" else "STANDARD"
-        if "NBITS" in self.dataset.tags(1, ns="IMAGE_STRUCTURE"):  # 1 or 12 bits a value, say: there is none for these
+        if "NBITS" in self.dataset.tags(1, ns="IMAGE_STRUCTURE"):  # such as 1 or 12 bits per value: no predictor exists
             predictor = "NO"
         gdal_copy(
             plain,
@@ -136,7 +137,7 @@ class Original:
         )
 
     def convert(self, path: Path, place: Placement, **options: Any) -> None:
-        """Write a tiled GeoTIFF with the same pixels; `options` are GDAL's, more than the usual. Raises InputError, and
+        """Write a tiled GeoTIFF with the same pixels; `options` are additional ones of GDAL's. Raises InputError, and
         GDAL's errors."""
         source = self.dataset
         dtype = np.result_type(*source.dtypes)
@@ -176,7 +177,7 @@ class Original:
                     copy.write_mask(mask, window=window)
 
     def _restore_properties(self, copy: DatasetWriter) -> None:
-        """Give `copy` what the original has and a bare GeoTIFF, or a copy without its .aux.xml and .ovr, lacks."""
+        """Give `copy` what the original has, but a bare GeoTIFF, or a copy without its .aux.xml and .ovr, lacks."""
         source = self.dataset
         nodata_told = len(self._nodata()) == 1 and source.nodata is not None
         if nodata_told and copy.nodata is None and _fits(source.nodata, copy.dtypes[0]):
@@ -190,14 +191,14 @@ class Original:
                 setattr(copy, name, getattr(source, name))
         for band in (0, *source.indexes):
             tags, had = source.tags(band), copy.tags(band)
-            if tags.get("AREA_OR_POINT") == "Point":  # GDAL calls a new TIFF one of areas
+            if tags.get("AREA_OR_POINT") == "Point":  # GDAL gives a new TIFF "Area"
                 had.pop("AREA_OR_POINT", None)
             if new := {k: v for k, v in tags.items() if k not in had}:
                 copy.update_tags(band, **new)
             for domain in source.tag_namespaces(band):
                 if domain not in _OWN_DOMAINS and not domain.startswith("xml:") and not copy.tags(band, ns=domain):
                     copy.update_tags(band, ns=domain, **source.tags(band, ns=domain))
-        # Rasterio hands names and values to GDAL with "=" between, which takes them for the text of such a domain.
+        # For such a domain GDAL takes the text "name=value", which rasterio makes of a tag, as the domain's content.
         name, equals, text = source.tags(ns=_XMP).get(_XMP, "").partition("=")
         if equals and not copy.tags(ns=_XMP):
             copy.update_tags(ns=_XMP, **{name: text})
@@ -206,13 +207,13 @@ class Original:
             copy.build_overviews(source.overviews(1), resampling)
 
     def _strips(self) -> Iterator[Window]:
-        """Windows over the whole image, in reading order, because JPEG and PNG can only be decoded from the top."""
+        """Windows over the whole image, in reading order, because JPEG and PNG can be decoded only from the top."""
         for y in range(0, self.dataset.height, _STRIP):
             for x in range(0, self.dataset.width, 256 * _STRIP):
                 yield Window(x, y, min(256 * _STRIP, self.dataset.width - x), min(_STRIP, self.dataset.height - y))
 
     def _raw(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """The bands (C, H, W) as they are, and the mask (H, W) uint8."""
+        """The unchanged bands (C, H, W), and the mask (H, W) uint8."""
         with self.lock, reading(self.path, f"is damaged near y {window.row_off}", EXPORT_AGAIN):
             return self.dataset.read(window=window), self.dataset.dataset_mask(window=window)
 
@@ -224,7 +225,7 @@ class Original:
                 "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
                 "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
                 "colours": _colours(copy) == _colours(source),
-                "negative": not _negative(source) or _negative(copy) or _has_palette(copy),  # which GDAL makes of it
+                "negative": not _negative(source) or _negative(copy) or _has_palette(copy),  # GDAL may make a palette
                 "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
                 "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
                 "ground control": not copy.gcps[0] and not copy.rpcs,
@@ -245,7 +246,8 @@ class Original:
 
     @staticmethod
     def _same_system(found: CRS, meant: str | CRS) -> bool:
-        """An engineering CRS does not compare equal to what was written; its unit must."""
+        """Whether the CRS is the one that was meant. An engineering CRS does not compare equal after writing: there the
+        unit must be the same."""
         meant = CRS.from_user_input(meant)
         return found == meant or (found.units_factor[1] == meant.units_factor[1] and not meant.is_projected)
 
@@ -267,18 +269,18 @@ def _fits(value: float, dtype: str) -> bool:
 
 
 def _colours(dataset: DatasetReader) -> list[str]:
-    """What its bands are; a first one of which nothing is said is grey in a TIFF."""
+    """Colour interpretations of its bands; an undefined first one is grey in a TIFF."""
     kinds = [kind.name for kind in dataset.colorinterp]
     return ["gray" if kinds[0] == "undefined" else kinds[0], *kinds[1:]]
 
 
 def _negative(dataset: DatasetReader) -> bool:
-    """Whether what is light is stored dark."""
+    """Whether light is stored as dark."""
     return dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
 
 
 def _remove(path: Path) -> None:
-    """Remove the file `path`, if there is one; its name may be longer than any file's."""
+    """Remove the file `path`, if there is one; its name may be too long for a file."""
     if os.path.lexists(path):
         path.unlink()
 

@@ -1,4 +1,4 @@
-"""How the values of a raster become pixels to look at: which bands, which colours, from which value to which."""
+"""How the values of a raster become RGB pixels: which bands, which colours, which range of values."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ Damage = Callable[[str], AbstractContextManager[None]]
 class Display:
     """How a raster is shown.
 
-    bands : numbers, from 1, of those that are red, green and blue, or of the one that is grey.
+    bands : numbers, from 1, of the red, green and blue bands, or of the grey one.
     palette : (K, 3) uint8 colours of a paletted image, transparent ones grey; None for others.
     stretch : the values that become 0 and 255; None for plain 8 bit. All bands share them, which keeps the hues.
-    negative : whether what is light is stored dark.
-    masks : whether an alpha band or a value for no data, if there is one, says where there is data.
-    notes : what the user should know of it.
+    negative : whether light is stored as dark.
+    masks : whether an alpha band or a nodata value, if there is one, really says where there is data.
+    notes : what the user should know about it.
     """
 
     bands: list[int]
@@ -56,9 +56,9 @@ class Display:
 
     @classmethod
     def of(cls, path: Path, dataset: DatasetReader, in_order: bool, damage: Damage) -> Display:
-        """What suits an open image, by samples of its values.
+        """The display for an open image, by samples of its values.
 
-        in_order : whether it can be decoded from the top only. Raises InputError for an image that has no colour band
+        in_order : whether it can be decoded only from the top. Raises InputError for an image that has no colour band
         or none of real numbers, or is damaged.
         """
         notes: list[Remark] = []
@@ -72,31 +72,31 @@ class Display:
 
     @property
     def unmixed(self) -> bool:
-        """Whether GDAL must not resample the values: numbers of colours have no average; those of negatives it seeks
-        among as many colours as their type has values, for minutes; and bands beside one that it takes for their mask
-        it would mask."""
+        """Whether GDAL must not resample the values. Indices into a palette have no average. For negatives GDAL would
+        search a palette with as many colours as the type has values, for minutes. And it would mask bands by an alpha
+        band or nodata value that is not a mask."""
         return self.palette is not None or self.negative or not self.masks
 
     def rgb(self, values: np.ndarray) -> np.ndarray:
         """(H, W, 3 or 1) uint8 of the bands' `values` (C, H, W) of any real type; NaN becomes grey."""
         if self.palette is not None:
             return self.palette[np.clip(values[0], 0, len(self.palette) - 1)]
-        rgb = cv2.merge(list(self._to_8_bit(values)))  # far faster than numpy's transposing
+        rgb = cv2.merge(list(self._to_8_bit(values)))  # far faster than transposing in NumPy
         return (255 - rgb if self.negative else rgb).reshape(*values.shape[1:], -1)
 
     def _to_8_bit(self, values: np.ndarray) -> np.ndarray:
         if self.stretch is None:
             return values
         low, high = self.stretch
-        with np.errstate(over="ignore"):  # of what fills borders: 1e38 and more
+        with np.errstate(over="ignore"):  # fill values of borders may be 1e38 and more
             scaled = (values.astype(np.float32) - low) * (255 / (high - low))
         scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
         return np.clip(np.floor(scaled + 0.5), 0, 255).astype(np.uint8)  # halves upwards, as GDAL rounds averages
 
 
 def _colour_bands(path: Path, dataset: DatasetReader) -> list[int]:
-    """The bands (from 1) to show: red, green, blue where they are named, by what they mean to GDAL or, as those of
-    multispectral cameras are, by their descriptions; else the first three, else one grey."""
+    """The bands (from 1) to show: red, green and blue if they are named, by their descriptions (as those of
+    multispectral cameras) or GDAL's colour interpretation; else the first three, else one grey."""
     kinds = [c.name for c in dataset.colorinterp]
     described = [(text or "").strip().lower() for text in dataset.descriptions]
     named = next((names for names in (described, kinds) if {"red", "green", "blue"} <= set(names)), None)
@@ -132,11 +132,12 @@ def _samples(dataset: DatasetReader, side: int = 128) -> Iterator[Window]:
 
 
 def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]) -> bool:
-    """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
+    """Whether an alpha band, if there is one, really says where there is data: nearly all its values are 0 or the
+    largest.
 
-    Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
-    dark asphalt and water would show nothing; or, by its description, one of the `bands` that are shown. Formats that
-    are decoded in order know their alpha themselves.
+    GDAL calls the last of four 8 bit bands alpha unless the file says otherwise. Often it is near infrared, and dark
+    asphalt and water would be masked; or, by its description, it is one of the `bands` that are shown. Formats that are
+    decoded in order have a real alpha.
     """
     alpha = next((k for k, c in enumerate(dataset.colorinterp, 1) if c.name == "alpha"), None)
     if alpha is None or in_order:
@@ -161,9 +162,10 @@ def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damag
 def _nodata_masks(
     dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]
 ) -> bool:
-    """Whether a value for no data, if there is one, says where there is data: it is none of the picture's own colours.
+    """Whether a nodata value, if there is one, really says where there is data: it is not one of the picture's colours.
 
-    Exports of white borders call 255 no data. So are blown-out roofs of white cars then, and these would be grey holes.
+    Exports with white borders declare 255 as nodata. Blown-out roofs of white cars have that value, too, and would
+    become grey holes.
     """
     by_value = all(dataset.mask_flag_enums[band - 1] == [MaskFlags.nodata] for band in bands)
     if not by_value or in_order or np.result_type(*(dataset.dtypes[band - 1] for band in bands)).kind == "f":
@@ -188,8 +190,9 @@ def _nodata_masks(
 def _stretch(
     dataset: DatasetReader, bands: list[int], damage: Damage, notes: list[Remark]
 ) -> tuple[float, float] | None:
-    """The percentiles SHOWN of samples of the `bands`, or what 0 and 255 became where all are values of 8 bit times one
-    of OF_8_BIT: stretched, such pictures measured otherwise than their originals. None for plain 8 bit."""
+    """The values to show as 0 and 255: percentiles SHOWN of samples of the `bands`; or, if all are 8 bit values times
+    one of OF_8_BIT, what 0 and 255 became, since such pictures, if stretched, were measured differently from their
+    originals. None for plain 8 bit."""
     dtypes = {dataset.dtypes[b - 1] for b in bands}
     bits = dataset.tags(bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
     if dtypes == {"uint8"} and int(bits) == 8:
@@ -214,8 +217,8 @@ def _stretch(
 
 
 def _without_fill(sample: np.ndarray) -> np.ndarray:
-    """`sample` (N,) without what fills an image's borders although it is not declared as nodata, such as -9999: one
-    value at an end, farther from all others than these are from one another."""
+    """`sample` (N,) without undeclared fill values of an image's borders, such as -9999: an extreme value that is
+    farther from all others than these are from one another."""
     for end in (np.min, np.max):
         rest = sample[sample != end(sample)] if len(sample) else sample
         if len(rest) and abs(float(end(sample)) - float(end(rest))) > float(rest.max()) - float(rest.min()) > 0:

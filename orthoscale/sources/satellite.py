@@ -1,4 +1,4 @@
-"""A georeferenced satellite picture or orthophoto: the place of its pixels on Earth, and the ground they cover."""
+"""A georeferenced satellite picture or orthophoto: the place of its pixels on Earth, and their size on the ground."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .raster_mirrored import FromLastRow
 
 @dataclass(frozen=True)
 class Satellite:
-    """A georeferenced satellite picture. Open it with `Satellite.open`. Its rows count from the last of the file where
-    that shows the ground mirrored (south-up, say), so that its pixels always show the ground as it is."""
+    """A georeferenced satellite picture. Open it with `Satellite.open`. If the file shows the ground mirrored (such as
+    south-up), rows count from its last, so that the picture always shows the ground as it is."""
 
     source: RasterSource | FromLastRow
     transform: Any
@@ -29,7 +29,8 @@ class Satellite:
 
     @classmethod
     def open(cls, path: Path) -> Satellite:
-        """Raises InputError for what is no picture, UsageError for one without a place on Earth."""
+        """Open the picture at `path`. Raises InputError if it is not a picture, UsageError if it has no place on
+        Earth."""
         source = RasterSource.open(path)
         claim = source.claimed
         if not claim.usable or claim.transform is None:
@@ -42,7 +43,7 @@ class Satellite:
         return cls(source, claim.transform, crs)
 
     def in_file(self, windows: np.ndarray) -> np.ndarray:
-        """(n, 4) x, y, width, height in the pixels of the file as it is stored, of `windows` (n, 4)."""
+        """`windows` (n, 4), x, y, width and height, in pixels of the file as it is stored."""
         x, y, width, height = np.asarray(windows).T
         mirrored = isinstance(self.source, FromLastRow)
         return np.column_stack([x, self.source.height - y - height if mirrored else y, width, height])
@@ -62,8 +63,8 @@ class Satellite:
         return np.column_stack([turned_to(longitude, 0.0), latitude])
 
     def in_crs(self, lon_lat: np.ndarray) -> np.ndarray:
-        """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none. A
-        picture may go on beyond the 180th meridian, and they do as it does."""
+        """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none. If the
+        picture extends beyond the 180th meridian, so do these coordinates."""
         longitude, latitude = np.asarray(lon_lat, float).reshape(-1, 2).T
         there = np.column_stack(self._to_degrees.transform(longitude, latitude, direction="INVERSE"))
         middle = self.coordinates(np.array([self.source.width, self.source.height]) / 2)[0]
@@ -74,19 +75,19 @@ class Satellite:
         return self.degrees(self.coordinates(pixels))
 
     def pixel_of(self, lon: float, lat: float) -> np.ndarray:
-        """(2,) the pixel at a place; it may lie outside of the picture, NaN where the projection has none."""
+        """(2,) the pixel at a place, which may lie outside of the picture; NaN if the projection has none."""
         pixel = transformed(self.in_crs(np.array([lon, lat])), ~self.transform)[0]
         return np.where(np.isfinite(pixel), pixel, np.nan)
 
     def extent_in_words(self) -> str:
-        """From where to where it goes."""
+        """Its range of longitudes and latitudes, as a sentence."""
         width, height = self.source.width, self.source.height
         corners = about_meridian(self.lon_lat(np.array([[0, 0], [width, 0], [width, height], [0, height]])))
         low, high = corners.min(0), corners.max(0)
         return f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude)."
 
     def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
-        """(2,) true ground metres of one pixel, across and down, around `pixel`: projections stretch by place."""
+        """(2,) true size on the ground of one pixel near `pixel`, across and down [m]: projections stretch by place."""
         half = 50.0
         (west, east), (up, down) = (self.lon_lat(pixel + np.outer([-half, half], axis)) for axis in np.eye(2))
         geod = pyproj.Geod(ellps="WGS84")

@@ -25,13 +25,13 @@ def scale_path(
     others: WrittenFiles | None = None,
     metric: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> list[str]:
-    """Write `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is to say.
+    """Write `source`, in model units, to `target`, in metres: all lengths times `scale`; returns notes for the user.
 
     A folder is a sparse model or a dense workspace of COLMAP; `target` is then an empty folder. Files that a file
-    refers to (materials, buffers, point clouds) come along beside `target`. others : of what was written before.
-    metric : cameras [m] of the model that the scale is of, by the names of their images, with which other models are
-    compared. Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already,
-    for several models in one folder, and for a model whose cameras stand elsewhere.
+    refers to (materials, buffers, point clouds) are written beside `target`, too. others : files written before.
+    metric : cameras [m] of the model for which the scale was measured, by image name; other models are compared with
+    them. Raises InputError for a missing, damaged or unknown file; UsageError for one that is in metres already, for
+    several models in one folder, and for a model whose cameras stand elsewhere.
     """
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise absent(source, "Give files in the units of the model.")

@@ -1,15 +1,16 @@
-"""What a photo says of itself: EXIF, and the XMP that drones add. Pillow reads both; here they get one meaning.
+"""The metadata of a photo: EXIF, and the XMP that drones add. Pillow reads both; here their meanings are unified.
 
 Makers disagree about angles. Here all are gimbal angles, as DJI writes them: pitch -90 straight down and 0 at the
 horizon, roll positive with the right side down, yaw clockwise from north; degrees.
 
-- `GimbalPitchDegree` (DJI, Autel, Teal), `CameraPitchDegree` (Parrot) and `CameraOrientationNED` (Skydio) are such.
-- `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon, and `Camera:Roll` is the
-  wings', which tilts a camera that looks straight down. Some Autel models write gimbal angles there; those are
+- `GimbalPitchDegree` (DJI, Autel, Teal), `CameraPitchDegree` (Parrot) and `CameraOrientationNED` (Skydio) are gimbal
+  angles.
+- `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon, and `Camera:Roll` is the roll
+  of the wings, which tilts a camera that looks straight down. Some Autel models write gimbal angles there; those are
   negative, which the schema's are not for a camera that looks forward
   (github.com/Theta-Limited/OpenAthenaIOS/issues/62).
 - A DJI Mini 2 writes zeros for all three angles, whatever the gimbal does
-  (github.com/dji-sdk/Mobile-SDK-Android/issues/1233): they are passed over.
+  (github.com/dji-sdk/Mobile-SDK-Android/issues/1233): they are ignored.
 """
 
 from __future__ import annotations
@@ -32,29 +33,29 @@ from ..formats.reading import check_regular
 SIDES_OF_EARTH = {"N": 1, "S": -1, "E": 1, "W": -1}
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
-SAME_SHAPE = 0.005  # relative: what a picture's aspect may change when it is made smaller
+SAME_SHAPE = 0.005  # relative change of a picture's aspect that a reduction of its size may cause
 READABLE_PHOTOS = (
     "Give photos as JPEG, TIFF or PNG; convert HEIC and raw photos with their tags, and take frames of videos."
 )
-# EXIF says "unknown" as 0/0 and "infinite" as FFFFFFFF/x (CIPA DC-008, 4.6.5). COLMAP's undistorter, by OpenImageIO,
-# writes such tags as 80000000/1: nothing that a photo tells is so large.
+# EXIF writes "unknown" as 0/0 and "infinite" as FFFFFFFF/x (CIPA DC-008, 4.6.5). COLMAP's undistorter, by OpenImageIO,
+# writes such tags as 80000000/1. No real value is so large.
 NO_NUMBER = 2.0**31 - 1
 BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no survey camera looks that far backwards
 
 
 @dataclass(frozen=True)
 class Tags:
-    """EXIF and XMP of one photo; None where they say nothing.
+    """EXIF and XMP of one photo; None for missing values.
 
-    width, height : as stored, before any EXIF rotation [px]. full_width, full_height : as the camera wrote it [px];
-    the latter None where EXIF does not tell.
-    lon_lat : [deg]. relative_altitude : over the take-off point, as the drone has it [m].
+    width, height : as stored, before any EXIF rotation [px]. full_width, full_height : of the picture that the camera
+    wrote [px]; full_height is None if EXIF lacks it.
+    lon_lat : [deg]. relative_altitude : over the take-off point, by the drone [m].
     focal_mm : physical. focal_35mm : for the same field of view on 36 x 24 mm, by the diagonal (CIPA DCG-001).
     plane_px_per_mm : pixels of the full image per millimetre of the sensor.
     calibrated_px : the maker's calibrated focal length [px of the full image].
     dewarp : the maker's fx, fy, cx, cy, k1, k2, p1, p2, k3 [px of the full image; cx and cy from its middle].
-    dewarped : the camera has taken the distortion out already.
-    pitch, roll, yaw : see above [deg], turned in the order yaw, pitch, roll. notes : what was passed over, and why.
+    dewarped : the camera has removed the distortion already.
+    pitch, roll, yaw : see above [deg], applied in the order yaw, pitch, roll. notes : what was ignored, and why.
     """
 
     width: int
@@ -80,35 +81,36 @@ class Tags:
 
     @property
     def camera(self) -> str:
-        """Maker and model, the maker once; '' where the photo tells neither."""
+        """Maker and model, with the maker's name only once; '' if the photo has neither."""
         named = self.model.lower().startswith(self.make.lower())
         return self.model if named else f"{self.make} {self.model}".strip()
 
     @property
     def heading(self) -> float | None:
-        """Where `level_axes` has forward, clockwise from north [deg]: the picture's top of a photo taken straight down,
-        which roll turns as much as yaw (DJI writes a roll of 180 there: github.com/leftfield-geospatial/orthority,
-        issue 36). None too for a photo that was turned since it was taken: which way is not known."""
+        """Direction of forward in `level_axes`, clockwise from north [deg]: for a photo taken straight down, that of
+        the picture's top, which roll turns as much as yaw (DJI writes a roll of 180 there:
+        github.com/leftfield-geospatial/orthority, issue 36). Also None for a photo that was turned since it was taken,
+        since the direction of the turn is unknown."""
         if self.pitch is None or self.yaw is None or self.turned:
             return None
-        # Axes of the turned camera: the optical one, right, and what is down in the picture.
+        # Axes of the rotated camera: the optical axis, right, and down in the picture.
         north, east, _ = _rotation(self.yaw, self.pitch, self.roll or 0.0).apply([1.0, 0.0, -1.0])
         return math.degrees(math.atan2(east, north)) % 360
 
     @property
     def turned(self) -> bool:
-        """Whether its pixels were turned by a quarter turn since it was taken, by its size in EXIF."""
+        """Whether its pixels were rotated by a quarter turn since it was taken, judged by its size in EXIF."""
         return not self.of_shape(self.full_width, self.full_height) and self.of_shape(self.full_height, self.full_width)
 
     def of_shape(self, width: int | None, height: int | None) -> bool:
-        """Whether it has the aspect of a picture of that size; False where that is not known."""
+        """Whether it has the aspect of a picture of that size; False if the size is unknown."""
         if not width or not height:
             return False
         return abs(self.width * height / (self.height * width) - 1) < SAME_SHAPE
 
 
 def read_tags(path: Path) -> Tags:
-    """The tags of the photo at `path`; its pixels are not decoded. Raises InputError for what is no image."""
+    """The tags of the photo at `path`; its pixels are not decoded. Raises InputError if it is not an image."""
     from PIL import Image, UnidentifiedImageError
     from PIL.ExifTags import IFD
 
@@ -124,7 +126,7 @@ def read_tags(path: Path) -> Tags:
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason})", "Check the path, or copy the file again.") from error
-    except Exception as error:  # Pillow's readers raise whatever a damaged file makes of them
+    except Exception as error:  # for a damaged file Pillow's readers may raise anything
         raise InputError(f"{path}: is damaged ({error})", "Copy it again from its original.") from error
     if _number(base.get(0x00FE)) == 1:  # NewSubfileType: what Pillow shows of DNG, NEF and ARW
         raise InputError(f"{path}: holds a small preview, as raw photos do", READABLE_PHOTOS)
@@ -164,7 +166,7 @@ def read_tags(path: Path) -> Tags:
 
 @contextmanager
 def _of_any_size() -> Iterator[None]:
-    """Without Pillow's guard against huge pictures: nothing is decoded here, and survey cameras have 150 Mpx."""
+    """Switch off Pillow's guard against huge pictures: nothing is decoded here, and survey cameras have 150 Mpx."""
     from PIL import Image
 
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
@@ -175,7 +177,7 @@ def _of_any_size() -> Iterator[None]:
 
 
 def _flat_xmp(packet: bytes | str) -> tuple[dict[str, str], list[str]]:
-    """Properties by local name, those of a structure as ``Structure.Property``; and what could not be read."""
+    """Properties by local name, those of a structure as ``Structure.Property``; and notes on what could not be read."""
     text = packet.encode() if isinstance(packet, str) else bytes(packet)
     for tag in (b"x:xmpmeta", b"rdf:RDF"):  # the outer one may be left out (XMP specification, part 1, 7.3.3)
         start, end = text.find(b"<" + tag), text.rfind(closing := b"</" + tag + b">")
@@ -234,12 +236,12 @@ def _no_pitch(text: str | None) -> list[str]:
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> Rotation:
-    """North, east, down from the axes of what was turned by these angles [deg]: forward, right and down."""
+    """Rotation into north, east, down from the axes (forward, right, down) of a body with these angles [deg]."""
     return Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
 
 
 def _gimbal_angles(pitch: float, roll: float, yaw: float | None) -> tuple[float, float, float | None]:
-    """Pitch, roll, yaw [deg] of a camera that looks straight down from wings of these angles."""
+    """Gimbal pitch, roll, yaw [deg] of a camera that looks straight down from wings with these angles [deg]."""
     turn, down, about = (_rotation(yaw or 0.0, pitch, roll) * _rotation(0, -90, 0)).as_euler("ZYX", degrees=True)
     return float(down), float(about), None if yaw is None else float(turn) % 360
 
@@ -254,7 +256,7 @@ def _dewarp(text: str) -> tuple[float, ...] | None:
 
 
 def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
-    """None too where EXIF does not tell north from south, or east from west."""
+    """Longitude and latitude [deg]; None also if EXIF does not say north or south, or east or west."""
     try:
         lat, lon = (
             SIDES_OF_EARTH[_letter(gps[tag - 1])] * sum(float(part) / 60**k for k, part in enumerate(gps[tag]))
@@ -268,13 +270,13 @@ def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
 
 
 def _letter(value: Any) -> str:
-    """The first of a text, which some programs write as bytes, in small letters or as a whole word."""
+    """The first letter of a text, which some programs write as bytes, in lower case or as a whole word."""
     text = value.decode("latin-1") if isinstance(value, bytes) else str(value)
     return text.strip("\0 ")[:1].upper()
 
 
 def _number(value: Any) -> float | None:
-    """A number that is neither unknown nor infinite; in XMP it may be a fraction, too, as EXIF's are there."""
+    """A number that is neither unknown nor infinite, else None; XMP may hold EXIF's fractions as text."""
     try:
         number = float(Fraction(value) if isinstance(value, str) and "/" in value else value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

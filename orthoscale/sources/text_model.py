@@ -36,7 +36,7 @@ class TextSource(OneFileSource):
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> TextSource:
-        """Open the file `path`; otherwise as `ColmapSource.open`, but the frames must be there. Raises InputError."""
+        """Open the file `path`; otherwise like `ColmapSource.open`, but the frames must exist. Raises InputError."""
         path = Path(path)
         stamp = Stamp.of(path)
         text = read_text_model(path)
@@ -67,8 +67,8 @@ class TextSource(OneFileSource):
 
 
 def _names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
-    """`image_names`, with slashes between folders: VisualSFM is at home on Windows. Where all are whole paths, which
-    are another machine's if no such file is on this one, they count from the folder that they share."""
+    """`image_names`, with slashes between folders, since VisualSFM is mostly used on Windows. If all are absolute paths
+    of another machine (no such file is on this one), they are made relative to the folder that they share."""
     given, lists = image_names(path, text)
     names = [PureWindowsPath(name).as_posix() for name in given]
     if not all(PureWindowsPath(name).root for name in names) or any(map(os.path.isfile, names)):
@@ -88,7 +88,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruction) -> Observations:
-    """Some of what the images of `model` saw."""
+    """A sample of the observations of the images of `model`."""
     cameras = {image.name: model.camera(image.camera_id) for image in model.images.values()}
     order = np.argsort(text.seen[:, 0], kind="stable")
     each = np.split(text.seen[order, 1:], np.searchsorted(text.seen[order, 0], np.arange(1, len(names))))
@@ -102,7 +102,7 @@ def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruct
 
 
 def _built(path: Path, text: TextModel, names: list[str], sizes: dict[str, tuple[int, int]]) -> pycolmap.Reconstruction:
-    """The model of the images of known `sizes`. Raises InputError for what cannot be meant."""
+    """The model of the images of known `sizes`. Raises InputError for impossible values."""
     cameras, poses = {}, {}
     for k, name in enumerate(names):
         if name not in sizes or not text.focal[k] > 0:

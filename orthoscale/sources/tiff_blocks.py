@@ -1,4 +1,4 @@
-"""The block offsets of a TIFF, from its own directory: GDAL reads a block whose offset is lost as if it were empty.
+"""The block offsets of a TIFF, from its own directory. (GDAL would read a block whose offset is lost as empty.)
 
 Tags and types are those of TIFF 6.0 (Adobe, 1992) and of BigTIFF.
 """
@@ -15,16 +15,16 @@ import numpy as np
 STRIP_OFFSETS, STRIP_COUNTS = (273, 324), (279, 325)  # StripOffsets, TileOffsets; StripByteCounts, TileByteCounts
 ROWS_PER_STRIP, TILE_WIDTH = 278, 322
 TAG_TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
-ONE_STRIP = 2**32 - 1  # rows of a strip that holds all of the image: what is meant where nothing is said
-MOST_TAGS = 4096  # of a directory; more is damage
+ONE_STRIP = 2**32 - 1  # rows of a strip that holds all of the image: the default of TIFF
+MOST_TAGS = 4096  # of a directory; more means damage
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """offset, count : (N,) where the blocks (strips or tiles) of the first image begin and how long they are [byte];
-    0 and 0 for one that was never written. An empty list is one that cannot be read; `count` is None in files so old
-    that they leave the lengths to the reader. strip : rows of a strip [px], which may be more than the image has; None
-    for tiles. GDAL may tell another number: it shows a file's only strip as if it were many."""
+    """offset, count : (N,) start and length of the blocks (strips or tiles) of the first image [byte]; 0 and 0 for a
+    block that was never written. Empty if the list cannot be read; `count` is None in files so old that they do not
+    store lengths. strip : rows of a strip [px], which may be more than the image has; None for tiles. GDAL may report
+    another number: it shows a file's only strip as if it were many."""
 
     offset: np.ndarray
     count: np.ndarray | None
@@ -32,7 +32,7 @@ class Blocks:
 
 
 def blocks_of(path: Path) -> Blocks | None:
-    """The blocks that the TIFF at `path` lists, or None for what is no TIFF. Raises OSError."""
+    """The blocks that the TIFF at `path` lists, or None if it is not a TIFF. Raises OSError."""
     with path.open("rb") as file:
         start = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(start[:2])

@@ -1,7 +1,7 @@
-"""What happens to light on its way to a file: optics, sensor, resampling, haze, tone, sharpening, noise, JPEG.
+"""Simulates the way of light into a file: optics, sensor, resampling, haze, tone, sharpening, noise, JPEG.
 
-A window around one vehicle is drawn from a fine picture at any size and turn and goes through the steps in that order,
-each by chance. Steps work on the picture's own grid, which lies anyhow to the vehicle, before any crop is cut.
+A window around one vehicle is cut from a fine picture at any size and rotation and goes through these steps, each by
+chance. They work on the picture's own grid, which has any position relative to the vehicle, before a crop is cut.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ from .rendered import BRIGHTEST
 
 LENGTHS = (8.0, 120.0)  # of a vehicle in the finished picture [px]
 RESAMPLED = (0.5, 3.0)  # finished pixels per sensor pixel
-SOFT = 0.25  # share of the pictures that are blurred once they are taken: enlarged elsewhere, hazy, a film's frames
+SOFT = 0.25  # share of the pictures that are blurred after they were taken: enlarged elsewhere, hazy, video frames
 SOFTEST = (0.5, 3.0)  # one sigma of that blur [px]
-SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as the rendered pictures have
-REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
-GLARE = 0.45  # share of the lenses that scatter light widely: what is overexposed grows by it
+SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: that in the rendered pictures
+REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any rotation
+GLARE = 0.45  # share of the lenses that scatter light widely, so that overexposed things grow
 OVEREXPOSED = 0.3  # share of the pictures whose exposure suits the shade
-# Share of the pictures whose contrast was stretched until shadows are black, as it is in orthophotos; dark paint in or
-# beside them then is, too. And the quantiles of a window's light that become black.
+# Share of the pictures whose contrast was stretched until shadows are black, as in orthophotos; dark paint in or beside
+# them is black then, too. And the quantiles of a window's light that become black.
 STRETCHED = 0.35
 DARKEST = (0.01, 0.2)
-# One sigma of how much the ratio of length to width is changed (log) before a camera sees the vehicle. Of blurred
-# vehicles of 12 to 18 px a network tells the usual shape, more or less; the wider the shapes that it saw, the less.
+# One sigma of a random change of the ratio of length to width (log) before a camera sees the vehicle. For blurred
+# vehicles of 12 to 18 px a network gives more or less the usual shape; less so, the more varied the shapes were that it
+# has seen.
 SHAPES_SD = 0.07
-COVERED = 0.3  # share of the vehicles whose edge, corner or more something opaque may hide
+COVERED = 0.3  # share of the vehicles of which an edge, a corner or more may be hidden by something opaque
 CROWNS = 0.6  # share of these covers that show other ground, as trees do; the others are black shade
-REACHES = (0.2, 1.45)  # from a vehicle's middle to where a cover begins, 1 at the edge and 1.41 at the corner
-RAGGED = (0.05, 0.4)  # one sigma of how far a cover's outline strays from a line, in the same measure
-STRIP = 0.1  # of a vehicle's length and width inside an edge that tell whether the edge is hidden
-HIDDEN = 0.4  # share of that strip under the cover from which it is
+REACHES = (0.2, 1.45)  # distance of a cover from a vehicle's middle: 1 is at the edge, 1.41 at the corner
+RAGGED = (0.05, 0.4)  # one sigma of how far a cover's outline deviates from a line, in the same unit
+STRIP = 0.1  # depth of the strip inside an edge that decides whether it is hidden, as a share of length or width
+HIDDEN = 0.4  # share of that strip under the cover from which the edge is hidden
 
 
 def pyramid(picture: np.ndarray, levels: int = 5) -> list[np.ndarray]:
@@ -53,8 +54,8 @@ def pyramid(picture: np.ndarray, levels: int = 5) -> list[np.ndarray]:
 def window(
     levels: Sequence[np.ndarray], box: np.ndarray, scale: float, rng: np.random.Generator, fine: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels around `box` (5,) at `scale`, any turn and of a changed shape, (fine n, fine n, 3) uint8, and the box on
-    the grid of n."""
+    """Pixels around `box` (5,) at `scale`, randomly rotated and changed in shape, (fine n, fine n, 3) uint8; and the
+    box on the grid of n x n."""
     longer = np.exp(np.clip(rng.normal(0, SHAPES_SD / 2), -SHAPES_SD, SHAPES_SD))
     n = int(np.ceil(REACH * max(longer * box[2], 2 * box[3] / longer) * scale)) + 6
     along, turn = _rotation(box[4]), _rotation(rng.uniform(0, 2 * np.pi))
@@ -78,8 +79,8 @@ def _rotation(angle: float) -> np.ndarray:
 class Shot:
     """A vehicle as one camera took it.
 
-    pixels : (n, n, 3), light 0..1, or uint8 when it is finished. box : (5,) of the vehicle in them. shown : (5,) of
-    what is in sight of it, and of its blur. hidden : (4,) bool, which of its edges are not: rear, front, left, right.
+    pixels : (n, n, 3), light 0..1, or uint8 when finished. box : (5,) of the vehicle in them. shown : (5,) box of its
+    visible part, including blur. hidden : (4,) bool, which edges are not visible: rear, front, left, right.
     """
 
     pixels: np.ndarray
@@ -108,9 +109,9 @@ def covered(x: np.ndarray, box: np.ndarray, others: np.ndarray, rng: np.random.G
 
 
 def _cover(along: np.ndarray, across: np.ndarray, box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(n, n) 0..1, how much something with a ragged edge hides that begins somewhere over the vehicle in `box` (5,).
+    """(n, n) 0..1, opacity of a cover with a ragged edge that begins somewhere over the vehicle in `box` (5,).
 
-    along, across : (n, n) places in half lengths and half widths from its middle.
+    along, across : (n, n) positions in half lengths and half widths from the vehicle's middle.
     """
     way = rng.uniform(0, 2 * np.pi)
     stray = rng.normal(0, 1, along.shape).astype(np.float32)
@@ -133,7 +134,7 @@ def _hidden(along: np.ndarray, across: np.ndarray, box: np.ndarray, mask: np.nda
 
 
 def _shown(along: np.ndarray, across: np.ndarray, box: np.ndarray, mask: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """(5,) the box of what the `mask` leaves in sight. Edges that are seen stay; covered corners do not move them."""
+    """(5,) the box of the part that the `mask` leaves visible. Visible edges stay; covered corners do not move them."""
     clear = (np.maximum(np.abs(along), np.abs(across)) < 1) & (mask < 0.5)
     if not clear.any():
         return box
@@ -146,7 +147,7 @@ def _shown(along: np.ndarray, across: np.ndarray, box: np.ndarray, mask: np.ndar
 
 
 def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.25) -> np.ndarray:
-    """Blur of lens, focus or flight; `x` has `fine` samples per pixel each way. sharp : share that stays as it is."""
+    """Blur of lens, focus or motion; `x` has `fine` samples per pixel each way. sharp : share that is not blurred."""
     kind = rng.choice(4, p=[sharp, *(np.array([0.5, 0.2, 0.3]) * (1 - sharp))])
     if kind == 1:
         sigma = fine * rng.uniform(0.2, 1.0) * np.exp(rng.normal(0, 0.1, 2))
@@ -165,13 +166,13 @@ def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.
 
 
 def glare(x: np.ndarray, fine: int, rng: np.random.Generator) -> np.ndarray:
-    """A small share of the light scattered over some pixels, as by dirty, cheap or wet lenses, and full sensors."""
+    """Scatters a small share of the light over some pixels, as dirty, cheap or wet lenses and saturated sensors do."""
     share = np.float32(rng.uniform(0.03, 0.2))
     return (1 - share) * x + share * cv2.GaussianBlur(x, (0, 0), fine * rng.uniform(1.2, 4.0))
 
 
 def resample(x: np.ndarray, factor: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """At about `factor` times the size, with one of the filters in use; and the factor in fact."""
+    """`x` at about `factor` times the size, with one of the usual filters; and the exact factor."""
     size = max(8, round(x.shape[0] * factor))
     ways = [cv2.INTER_AREA, cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4, cv2.INTER_NEAREST_EXACT]
     way = ways[rng.choice(5, p=[0.38, 0.19, 0.24, 0.14, 0.05] if factor < 1 else [0.05, 0.38, 0.33, 0.19, 0.05])]
@@ -191,7 +192,7 @@ def sharpen(x: np.ndarray, amount: float, radius: float) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _grain() -> np.ndarray:
-    """Noise to cut from, (1024, 1024, 3) float32: light and, half as much, colour."""
+    """A field of noise to cut from, (1024, 1024, 3) float32: luminance and, half as strong, colour."""
     rng = np.random.default_rng(0)
     return rng.standard_normal((1024, 1024, 1), np.float32) + 0.5 * rng.standard_normal((1024, 1024, 3), np.float32)
 
@@ -219,13 +220,13 @@ def tone(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def stretch(x: np.ndarray, darkest: float, share: float = 1.0) -> np.ndarray:
-    """`x` with contrast stretched: what is as dark as its `darkest` quantile is black, or only by a `share` of that."""
+    """`x` with contrast stretched: `share` times its `darkest` quantile becomes black."""
     black = np.float32(share * np.quantile(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), darkest))
     return (x - black) / max(np.float32(1) - black, np.float32(0.2))
 
 
 def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Linear light to a display's numbers, 0..1: exposure, veil, a shoulder of random softness, gamma."""
+    """Linear light to display values, 0..1: exposure, haze, a shoulder of random softness, gamma."""
     veil = rng.uniform(0.02, 0.5) if rng.random() < 0.25 else 0.0
     sky = np.float32(veil * rng.uniform(0.3, 0.8)) * np.array([0.92, 0.98, 1.06], np.float32)
     exposure = rng.normal(0.45, 0.45) + (rng.uniform(0.4, 1.2) if rng.random() < OVEREXPOSED else 0.0)
@@ -236,7 +237,7 @@ def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def finish(x: np.ndarray, rng: np.random.Generator, strength: float) -> np.ndarray:
-    """What is done to a picture after it was taken. strength : factor on the chances of all but JPEG."""
+    """Processing of a picture after it was taken. strength : factor on the probabilities of all steps but JPEG."""
     if rng.random() < STRETCHED * strength:
         x = stretch(x, rng.uniform(*DARKEST), rng.uniform(0.6, 1.1))
     if rng.random() < 0.6 * strength:
@@ -259,8 +260,8 @@ def photograph(
 ) -> Shot:
     """A finished window around `box` (5,), RGB.
 
-    levels : `pyramid` of a rendered picture (`linear`), or of a real one, which was taken once already and is only
-    changed a little more. others : (m, m, 3) uint8, what a share of `cover` of the vehicles is partly covered with.
+    levels : `pyramid` of a rendered picture (`linear`), or of a real one, which a camera has taken already, so that it
+    is only changed a little more. others : (m, m, 3) uint8, ground that partly covers a share `cover` of the vehicles.
     """
     length = np.exp(rng.uniform(*np.log(LENGTHS)))
     factor = np.exp(rng.uniform(*np.log(RESAMPLED))) if rng.random() < (0.45 if linear else 0.3) else 1.0

@@ -1,7 +1,7 @@
-"""Training examples of the measurer: crops along a wrong box, and where the edges are in them.
+"""Training examples of the measurer: crops along an inaccurate box, and where the edges are in them.
 
-Rendered vehicles have exact edges. Real ones have boxes of people and detectors, whose sizes stray and whose scenes
-have a margin of their own; what to make of them is left to the likelihood (`network.loss`), which is told the scene.
+Rendered vehicles have exact edges. Real ones have boxes by people and detectors, whose sizes scatter and whose margin
+differs from scene to scene; the likelihood (`network.loss`), which knows the scene, takes account of that.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from .chain import photograph, pyramid
 from .real import NONE, SCENES
 from .rendered import Rendered
 
-RENDERED = -1  # the scene of exact edges
-HAND = len(SCENES)  # the scene of edges that were read by eye, whatever the place
-NO_EDGES = -2  # the scene of vehicles of which only the kind is learnt
+RENDERED = -1  # scene number of rendered vehicles, with exact edges
+HAND = len(SCENES)  # scene number of all vehicles whose edges were read by eye, whatever the place
+NO_EDGES = -2  # scene number of vehicles of which only the kind is learnt
 SHARES = {"rendered": 0.47, "real": 0.1, "hand": 0.23, "kind": 0.1, "ground": 0.1}
-# Of each kind among the examples of "kind", so far as there are any: as many pickups and vans as cars, so that the
-# answer does not lean on how many stand in the cities that are learnt from.
+# Share of each kind among the examples of "kind", as far as available: about as many pickups and vans as cars, so that
+# the result does not depend on their shares in the cities of the training data.
 OF_KINDS = {"car": 0.3, "pickup": 0.3, "van": 0.25, "larger": 0.1, "none": 0.05}
 COARSE = 25.0  # length of a vehicle in a coarse picture, at most [px]
 GROUND = 0.06  # share of the rendered examples that show no vehicle
-HELD_OUT = 10  # rendered pictures, for `evaluate`
+HELD_OUT = 10  # number of rendered pictures that are held out for `evaluate`
 
 
 @dataclass(frozen=True)
 class Example:
-    """One crop and what is known of it.
+    """One crop and what is known about it.
 
     pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8.
     edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
@@ -51,8 +51,8 @@ class Example:
 
 
 def proposal(box: np.ndarray, rng: np.random.Generator, good: bool = False) -> np.ndarray:
-    """(5,) a box as a detector might propose it for the vehicle in `box`: off its place, turn and size; either way
-    round. A third of them are as `good` as a first look makes them."""
+    """(5,) a box as a detector might propose it for the vehicle in `box`: with errors of place, angle and size, and in
+    either direction. A third of them, or all if `good`, are as accurate as after a first pass."""
     fair = 1.0 if rng.random() < 0.65 and not good else 0.2
     size = np.exp(fair * rng.uniform(np.log(0.75), np.log(1.35)) + fair * rng.normal(0, [0.03, 0.07])) * box[2:4]
     along, across = fair * rng.uniform(-0.1, 0.1) * box[2], fair * rng.uniform(-0.2, 0.2) * box[3]
@@ -72,9 +72,9 @@ def edges_in_crop(box: np.ndarray, proposed: np.ndarray) -> tuple[np.ndarray, fl
     return np.array([x - length, x + length, y - width, y + width]), turn
 
 
-BACKWARDS = [1, 0, 3, 2]  # edges (rear, front, left, right) of a vehicle that is looked at the other way round
+BACKWARDS = [1, 0, 3, 2]  # order of edges (rear, front, left, right) if a vehicle is seen in the opposite direction
 CROPS = 3  # cut from each window
-BOXED_AS_SHOWN = 0.7  # share of the crops of partly hidden vehicles that are cut about what is in sight
+BOXED_AS_SHOWN = 0.7  # share of the crops of partly hidden vehicles that are cut around the visible part
 
 
 def examples(
@@ -86,15 +86,15 @@ def examples(
     rng: np.random.Generator,
     others: np.ndarray | None = None,
 ) -> Iterator[Example]:
-    """Random crops of one vehicle as one camera took it. levels : `pyramid` of the picture; box : (5,) in it, its
-    direction the front's. seen : (4,) rear, front, left, right. others : see `photograph`."""
+    """Random crops of one vehicle as one camera took it. levels : `pyramid` of the picture. box : (5,) in it, directed
+    to the front. seen : (4,) rear, front, left, right. others : see `photograph`."""
     length = box[2]
     shot = photograph(levels, box, rng, scene == RENDERED, others)
     pixels, box, seen = shot.pixels, shot.box, seen & ~shot.hidden
     if rng.random() < 0.06:  # the picture ends here
         pixels, seen = _cut(pixels, box, seen, rng)
     for _ in range(CROPS):
-        # Detectors box what they see of a vehicle; the last look is about what the looks before it told.
+        # Detectors box the visible part of a vehicle; the measurer's last pass is along the result of those before.
         proposed = proposal(shot.shown if rng.random() < BOXED_AS_SHOWN else box, rng)
         edges, turn = edges_in_crop(box, proposed)
         backwards = np.cos(proposed[4] - box[4]) < 0
@@ -111,7 +111,7 @@ def examples(
 def _cut(
     pixels: np.ndarray, box: np.ndarray, seen: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The window without what lies beyond a line through it; edges beyond are not seen."""
+    """The window cut off at a line through it; edges beyond the line are not seen."""
     quarter = int(rng.integers(4))
     way = np.array([np.cos(quarter * np.pi / 2), np.sin(quarter * np.pi / 2)])
     at = box[:2] @ way + rng.uniform(0.15, 0.7) * box[2]
@@ -148,7 +148,7 @@ class Examples:
         self._often = _often(self._hand)
         told = [patch for file in sorted(bank.glob("kind_*.npz")) for patch in real.load(file)]
         by_kind = {kind: [p for p in told if p.kind == ANSWERS.index(kind)] for kind in OF_KINDS}
-        # Pickups are mostly of chips; what is known of a kind in fine pictures and in coarse ones counts alike.
+        # Most pickups are from chips; fine and coarse pictures of a kind have equal weight.
         self._told = {
             kind: [group for group in ([p for p in some if (p.box[2] < COARSE) == small] for small in (0, 1)) if group]
             for kind, some in by_kind.items() if some
@@ -182,7 +182,7 @@ class Examples:
             )
 
     def _cover(self, scene: int, rng: np.random.Generator) -> np.ndarray | None:
-        """Ground to cover part of a vehicle with, where anything is learnt of its edges."""
+        """Ground to cover part of a vehicle with; None if nothing is learnt about its edges."""
         return self._ground[rng.integers(len(self._ground))].pixels if self._ground and scene != NO_EDGES else None
 
     def _of_rendered(self, rng: np.random.Generator) -> Iterator[Example]:
@@ -195,7 +195,7 @@ class Examples:
 
 
 def _often(groups: Sequence[Sequence[real.Patch]]) -> np.ndarray:
-    """(G,) how often each is shown: a group of few vehicles not so often that it is learnt by heart."""
+    """(G,) share of each group: one with few vehicles is not shown so often that it would be memorised."""
     often = np.sqrt([len(found) for found in groups])
     return often / max(often.sum(), 1e-9)
 
@@ -210,7 +210,7 @@ def _elsewhere(levels: list[np.ndarray], boxes: np.ndarray, length: float, rng: 
 
 
 def batch(examples: list[Example]) -> dict[str, np.ndarray]:
-    """Arrays as `network.loss` takes them."""
+    """Arrays as input of `network.loss`."""
     return {
         "pixels": np.stack([e.pixels for e in examples]).transpose(0, 3, 1, 2),
         "edges": np.array([e.edges for e in examples], np.float32),

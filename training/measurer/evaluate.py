@@ -1,4 +1,4 @@
-r"""How good the measurer is, beside the detector's own boxes.
+r"""How good the measurer is, compared with the detector's own boxes.
 
     python -m training.measurer.evaluate --measurer M.onnx rendered runs/bank
     python -m training.measurer.evaluate --measurer M.onnx hidden runs/bank --data ../shared/data
@@ -8,13 +8,13 @@ r"""How good the measurer is, beside the detector's own boxes.
     python -m training.measurer.evaluate --measurer M.onnx places --known NAME=PICTURES:BOXES.json:GSD:FLEET [...]
     python -m training.measurer.evaluate --measurer M.onnx kinds --data ../shared/data
 
-`rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
-`hidden`: rendered and real vehicles, part of which was covered: which edges it tells hidden, and what it makes of them.
-`changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
-move. `paint`: by how much a scene's dark vehicles measure larger than its light ones, which is their shadows'. `hand`:
-against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
-metres, beside the fleet's mean. `kinds`: against the kinds that were told by eye (labels/kinds.json) at places that
-were not learnt from. BOXES.json holds the detector's boxes, which propose where to look.
+`rendered`: held-out vehicles with exact edges, through many simulated cameras and with bad proposals; by size.
+`hidden`: partly covered rendered and real vehicles: whether it recognises hidden edges, and its errors there.
+`changes`: the same real vehicles after their picture was resampled, blurred, sharpened, ...: by how much their sizes
+change. `paint`: by how much a scene's dark vehicles measure larger than its light ones, which is due to shadows.
+`hand`: against edges read by eye (labels/by_hand.json). `places`: vehicles in pictures of known scale in metres,
+against the fleet's mean. `kinds`: against kinds determined by eye (labels/kinds.json), at places that were not trained
+on. BOXES.json holds the detector's boxes, which propose where to look.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from .rendered import Rendered
 from .rendered import rendered as rendering
 
 SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
-KIND_SIZES = (12, 25, 50, 200)  # the same for kinds [px]
-SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
-AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
+KIND_SIZES = (12, 25, 50, 200)  # limits of the size classes of results on kinds [px]
+SIZES = (8, 15, 25, 40, 60, 90, 121)  # limits of the size classes of other results, vehicle lengths [px]
+AROUND = 1.6  # half side of the window around a vehicle's centre, in vehicle lengths
 NONE = ANSWERS.index("none")
-HIDDEN_BELOW = 0.5  # how surely an edge must be seen to be taken for seen
-FEWEST = 3  # vehicles of a place from which it says something of the ruler
+HIDDEN_BELOW = 0.5  # probability of being seen below which an edge counts as hidden
+FEWEST = 3  # vehicles that a place needs to be used for the ruler
 LEAST_SCATTER = (0.02, 0.05)  # (one sigma) of a vehicle's length and width about its reading, at least
 
 
 def trusted(measured: Measured, limit: float = 0.12) -> np.ndarray:
-    """(N,) bool: a vehicle, no larger one, all edges seen, told to `limit` of its length and width."""
+    """(N,) bool: a vehicle, not a larger one, all edges seen, with a sigma below `limit` of its length and width."""
     size = measured.boxes.xylwa[:, 2:4]
     return (
         (measured.kind[:, NONE] < 0.5)
@@ -134,8 +134,8 @@ def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
 
 
 def hidden(measurer: Measurer, bank: Path, data: Path, count: int, seed: int) -> str:
-    """Vehicles that were not learnt from, rendered ones and those read by eye at test places, a tree or black shade
-    over or beside each: how well hidden edges are told from others, and the error of lengths that follows."""
+    """Held-out vehicles, rendered ones and those read by eye at test places, with a tree or black shade over or beside
+    each: how well hidden edges are distinguished from others, and the resulting errors of length."""
     rng = np.random.default_rng(seed)
     ground = [p.pixels for file in sorted(bank.glob("real_*.npz")) for p in load(file) if p.kind == NONE]
     pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[:HELD_OUT]]
@@ -259,7 +259,7 @@ PROPOSED = (0.85, 1.15)  # times the detector's box
 
 
 def _moved(name: str, before: np.ndarray, after: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, float]:
-    """The box (5,) in the changed window, and how much larger it is drawn there."""
+    """The box (5,) in the changed window, and the factor by which it is larger there."""
     if name == "quarter turn":
         return np.array([box[1], before.shape[1] - box[0], *box[2:4], box[4] - np.pi / 2]), 1.0
     if name == "mirror":
@@ -323,8 +323,8 @@ def paint(measurer: Measurer, scenes: list[Scene], most: int) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """What one place's vehicles say of a measurer: medians of the log ratios (2,) of length and width to what was read,
-    their variances (2,), and the vehicles' median size (2,) [px]."""
+    """A measurer's results for one place's vehicles: medians (2,) of the log ratios of length and width to the
+    readings, their variances (2,), and the vehicles' median size (2,) [px]."""
 
     log_ratio: np.ndarray
     variance: np.ndarray
@@ -332,13 +332,13 @@ class Place:
 
 
 def variance_of(spread: np.ndarray, count: int) -> np.ndarray:
-    """(2,) of a place's medians, by the `spread` (2,) of `count` vehicles."""
-    # Of a median: pi / 2 times a mean's; a few that agree by chance are not believed.
+    """(2,) variance of a place's medians, from the `spread` (2,) of `count` vehicles."""
+    # The variance of a median is pi / 2 times that of a mean. The least scatter is for few that agree by chance.
     return np.asarray(np.pi / 2 * np.maximum(spread, LEAST_SCATTER) ** 2 / count)
 
 
 def margin(places: list[Place]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(2,) the margin [px] that places ask for in length and width; (2,) what else they stray by (log, one sigma),
+    """(2,) the margin [px] in length and width that fits the places; (2,) their additional scatter (log, one sigma),
     found by leaving each of them out; (2, 2) lowest and highest margin of these fits."""
 
     def fit(some: list[Place], stray: np.ndarray) -> np.ndarray:
@@ -356,8 +356,9 @@ def margin(places: list[Place]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def against_readings(measurer: Measurer, detector: Detector, scene: Scene, width_habit: float = 1.0) -> np.ndarray:
-    """(N, 6) of the vehicles of a scene that were read by eye: log ratio of the measurer's length and width, and of the
-    detector's, to what was read, widths times `width_habit`; whether the detector found it, the measurer is sure."""
+    """(N, 6) for the vehicles of a scene that were read by eye: log ratios of the measurer's length and width, and of
+    the detector's, to the readings, whose widths are multiplied by `width_habit`; whether the detector found the
+    vehicle, and whether the measurer's result is `trusted`."""
     rows = []
     for p in scene.pictures:
         for read in p.vehicles:
@@ -402,7 +403,8 @@ def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
 
 
 def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, float, str]], most: int) -> str:
-    """Medians in metres, and the scale error that they imply: log(fleet's mean / median), 0 where they agree."""
+    """Medians in metres, and log(median / fleet's mean), 0 if they agree: minus the error of the scale that they
+    imply."""
     lines = ["median length x width [m]; implied error of the scale by length, by width [%], if the fleet is right"]
     lines.append(f"{'':20s}   n trusted | detector's boxes{'':12s}| measurer{'':20s}| fleet")
     margin = np.array(detector.card.ruler.margin)
@@ -425,8 +427,8 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
 
 
 def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
-    """What it says of which kind: mean shares by kind and by place, how often the likeliest is right, and the entries
-    of the card that follow. Pictures of vehicles of more than `longest` pixels are reduced to that first."""
+    """The measurer's kinds against the true ones: mean shares by kind and by place, how often the likeliest is right,
+    and the resulting entries of the card. Pictures of vehicles longer than `longest` px are first reduced to that."""
     told: dict[str, list[tuple[int, np.ndarray, float]]] = {}
     for scene, there in by_name(json.loads(file.read_text())["vehicles"], "scene").items():
         if scene in TOLD:

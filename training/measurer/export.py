@@ -1,4 +1,4 @@
-"""Write the trained measurer as ONNX, its answers averaged over the crop's mirrors.
+"""Write the trained measurer as ONNX, with its results averaged over the crop's mirrors.
 
     python -m training.measurer.export --run runs/m21 --card training/measurer/card_m21.json --out measurer.onnx
     python -m training.measurer.export --network measurer.onnx --card CARD.json --out measurer.onnx  # another card

@@ -1,11 +1,11 @@
-"""The measurer's network, and the likelihood that it learns by.
+"""The measurer's network, and the likelihood by which it learns.
 
-Residual stages shrink the crop to 1/16 and a feature pyramid brings it back to 1/2. Each edge is a distribution over
-positions along its axis: features, gathered across the axis with a learnt weight, give one logit a position, and the
-distribution's mean is the edge (soft argmax), finer than a pixel. How uncertain it is follows from the crop as a whole
+Residual stages reduce the crop to 1/16 and a feature pyramid brings it back to 1/2. Each edge is a distribution over
+positions along its axis: features, gathered across the axis with a learnt weight, give one logit for each position, and
+the distribution's mean is the edge (soft argmax), finer than a pixel. Its uncertainty follows from the crop as a whole
 and from the distribution's own width. The kind follows from the crop as a whole and from the features at 1/4, where a
-bed or a boot is some cells long: taught beside the edges alone, real pickups that were learnt from were given 0.65 of
-pickup, with these and as much weight as the edges 0.8.
+bed or a boot is some cells long. Learnt merely as a by-product of the edges, real pickups of the training data got a
+share of 0.65 for pickup; with these features and as much weight as the edges, 0.8.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from training.network import Residual, conv, enlarge, stage
 from .crops import NO_EDGES
 
 FEATURES = 24  # of the map at half the crop's size
-GATHERED = 3  # weightings by which features are gathered across an axis, the plain mean being one more
+GATHERED = 3  # learnt weightings with which features are gathered across an axis, beside the plain mean
 SMALLEST_SIGMA = 0.05  # [crop px]
-DEGREES_OF_FREEDOM = 4.0  # of Student's t, so that a few gross errors do not rule
-# A Student's t of 4 degrees of freedom has 0.74 of its scale as the median size of an error, a normal one 0.674 of its
-# standard deviation: one standard deviation as users take it is 1.1 of the scale.
+DEGREES_OF_FREEDOM = 4.0  # of Student's t, so that a few gross errors do not dominate
+# The median absolute error is 0.74 of the scale for Student's t with 4 degrees of freedom, and 0.674 of the standard
+# deviation for a normal distribution: so the standard deviation as users understand it is 1.1 of the scale.
 SIGMA_PER_SCALE = 1.1
 TURN_SCALE = 0.1  # [rad] of the turn's output
 KIND = 0.3  # weight of the kinds' part of the loss; an edge's part is 0.5 to 0.6 by itself
@@ -76,7 +76,7 @@ class MeasureNet(nn.Module):
             self.register_buffer(name, places, persistent=False)
 
     def forward(self, crops: Tensor) -> tuple[Tensor, ...]:
-        # Light, haze and contrast are nothing that an edge's place depends on.
+        # The place of an edge does not depend on light, haze and contrast.
         mean = crops.mean((1, 2, 3), keepdim=True)
         sd = ((crops - mean) ** 2).mean((1, 2, 3), keepdim=True).sqrt()
         s2 = self.stem((crops - mean) / (sd + 4.0))
@@ -106,8 +106,8 @@ def _mean_and_width(logits: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Mirrored(nn.Module):
-    """The network's answers averaged over the crop's four mirrors, ready to be used: edges and sigmas [crop px], turn
-    [rad], seen and kind as shares. Where the mirrors disagree, sigma grows by their spread."""
+    """The network's results averaged over the crop's four mirrors, ready for use: edges and sigmas [crop px], turn
+    [rad], seen and kind as probabilities. If the mirrors disagree, their spread is added to sigma."""
 
     def __init__(self, network: MeasureNet) -> None:
         super().__init__()
@@ -133,8 +133,8 @@ class Mirrored(nn.Module):
 
 
 class Habits(nn.Module):
-    """What the labels of each real scene have of their own, learnt beside the network and thrown away: by how much
-    vehicles are longer and wider than their boxes [px of the picture], and how far edges stray [px]."""
+    """Properties of the labels of each real scene, learnt together with the network and discarded afterwards: by how
+    much vehicles are longer and wider than their boxes [px of the picture], and the scatter of edges [px]."""
 
     def __init__(self, scenes: int) -> None:
         super().__init__()
@@ -142,15 +142,15 @@ class Habits(nn.Module):
         self.stray = nn.Parameter(torch.full((scenes, 2), 0.3))  # logarithm
 
     def forward(self, scene: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
-        """Outward shift and stray of edges (n, 4) [crop px] of examples of `scene` (n,), none where it is negative."""
+        """Outward shift and scatter of edges (n, 4) [crop px] for examples of `scene` (n,); zero for negative ones."""
         real = (scene >= 0).float()[:, None] * step[:, None]
         margin, stray = (p[scene.clamp(min=0)].repeat_interleave(2, 1) for p in (self.margin / 2, self.stray.exp()))
         return margin * real * torch.tensor([-1.0, 1.0, -1.0, 1.0]), stray * real
 
 
 def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Parts by name; their sum is the loss. Edges and turn: negative logarithms of Student's t of the stated scale,
-    an edge that is not seen counts a fifth; seen and kind: cross entropy. Of NO_EDGES, kind alone."""
+    """Parts of the loss by name; their sum is the loss. Edges and turn: negative log likelihood of Student's t with the
+    predicted scale; an edge that is not seen counts a fifth. Seen and kind: cross entropy. For NO_EDGES, only kind."""
     edges, scale, turn, turn_scale, seen, kind = outputs
     vehicle = ((batch["kind"] != ANSWERS.index("none")) & (batch["scene"] != NO_EDGES)).float()
     outward, stray = habits(batch["scene"], batch["step"])
@@ -160,10 +160,10 @@ def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) 
         batch["edges"].abs() < torch.tensor([CROP_WIDTH / 2, CROP_WIDTH / 2, CROP_HEIGHT / 2, CROP_HEIGHT / 2])
     ).float()
     weight = vehicle[:, None] * inside * (0.2 + 0.8 * batch["seen"])
-    # Real labels' angles stray by a degree or two.
+    # Angles of real labels scatter by a degree or two.
     turn_scale = torch.sqrt(turn_scale[:, 0].exp() ** 2 + (0.03 * (batch["scene"] >= 0)) ** 2 + 0.003**2)
     known = batch["kind"] >= 0
-    # A real vehicle's kind is not told, only that it is one.
+    # The kind of most real vehicles is unknown; only that they are vehicles is known.
     is_none = F.log_softmax(kind, 1)[:, -1]
     told = F.cross_entropy(kind[known], batch["kind"][known], reduction="sum")
     some = -torch.log1p(-is_none[~known].exp().clamp(max=1 - 1e-6)).sum()

@@ -1,12 +1,12 @@
-r"""How far the measurer strays from place to place, told apart from how far its readers do.
+r"""Place-to-place errors of the measurer, separated from those of its readers.
 
     python -m training.measurer.readers --measurer M.onnx --data ../shared/data [READ.json ...]
 
-Against one reader's edges a place strays by what the measurer has wrong there and by what the reader has. Another
-reader, who saw neither the other's answers nor any box, errs for himself. So each reader's habit is taken off, a factor
-and a margin in pixels of his own, and what is left is compared between readers: what two of them find alike is the
-measurer's (or of what both take for the edge). Of each place the mean of what is left is printed, too. By default the
-readings are those of labels/.
+The difference between the measurer and one reader at a place contains the errors of both. Another reader, who saw
+neither the first one's answers nor any box, makes independent errors. So each reader's bias, a factor and a margin in
+pixels, is removed, and the residuals of readers are compared: the part that two of them share is the measurer's error
+(or due to what both take for the edge). The mean residual of each place is printed, too. By default the readings are
+those of labels/.
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ from .real import READ as LEARNT
 from .real import SLANTED
 
 READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcdeg"))
-STRAY = (0.01, 0.015)  # one sigma of length and width by which readings of places are weighed, before it is known
+STRAY = (0.01, 0.015)  # place-to-place one sigma of length and width that is assumed for the weights of readings
 DRAWS = 1000  # of places, for the uncertainty (bootstrap; Efron 1979)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading(Place):
-    """What one reader's vehicles of the place of that name say of the measurer."""
+    """The measurer against one reader's vehicles of the place named `place`."""
 
     reader: int
     place: str
 
 
 def without_habits(readings: Sequence[Reading], axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) what is left of readings of length (axis 0) or width (1), and (N,) how they are weighed [1 / one sigma].
+    """(N,) residuals of readings of length (axis 0) or width (1), and (N,) their weights [1 / one sigma].
 
-    Readings are `habit of the reader + margin of the reader / size + error at the place`, by weighted least squares.
+    Readings are modelled as `bias of the reader + margin of the reader / size + error at the place`, by weighted least
+    squares.
     """
     readers = sorted({r.reader for r in readings})
     y = np.array([r.log_ratio[axis] for r in readings])
@@ -58,8 +59,9 @@ def without_habits(readings: Sequence[Reading], axis: int) -> tuple[np.ndarray, 
 
 
 def stray(readings: Sequence[Reading]) -> np.ndarray:
-    """(2,) variance of what readers agree the measurer has wrong at a place, in length and width; it may come out
-    negative: the mean product of what two readers find at one place, Cov(a, b) of errors that are common."""
+    """(2,) variance of the measurer's errors at places, in length and width, as far as readers agree on them: the mean
+    product of two readers' residuals at one place, which is the covariance of errors that both share. It may come out
+    negative."""
     shared = np.zeros(2)
     for axis in (0, 1):
         left, weight = without_habits(readings, axis)
@@ -81,7 +83,7 @@ def by_place(readings: Sequence[Reading]) -> dict[str, list[int]]:
 
 
 def drawn(readings: Sequence[Reading], seed: int = 0) -> np.ndarray:
-    """(DRAWS, 2) `stray` of places drawn anew, each with all its readings."""
+    """(DRAWS, 2) `stray` of places drawn with replacement, each with all its readings (bootstrap)."""
     rng = np.random.default_rng(seed)
     at = by_place(readings)
     found = []
@@ -94,7 +96,7 @@ def drawn(readings: Sequence[Reading], seed: int = 0) -> np.ndarray:
 
 
 def read_by(measurer: Measurer, detector: Detector, data: Path, file: Path, reader: int) -> list[Reading]:
-    """One reader's readings of the places that were not learnt from."""
+    """One reader's readings of the places that were not trained on."""
     found = []
     for scene in measured_scenes(data, file):
         if scene.name in (*LEARNT, *SLANTED):
@@ -111,7 +113,7 @@ def read_by(measurer: Measurer, detector: Detector, data: Path, file: Path, read
 
 
 def _sd(variance: float) -> str:
-    """A variance's root [%], with its sign."""
+    """Square root of a variance [%], with the variance's sign."""
     return f"{100 * np.sign(variance) * np.sqrt(abs(variance)):.1f}"
 
 

@@ -1,12 +1,13 @@
-r"""Real vehicles, and places without any, cut from labelled pictures with their surroundings.
+r"""Cuts real vehicles, and places without any, from labelled pictures, with their surroundings.
 
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json \\
         --labels ../shared/data/vehicles/chips --hand ../shared/data --kinds ../shared/data
 
-One file a scene, one more of those of READ whose edges were read by eye (``hand_SCENE.npz``), one more of those whose
-kinds were told by eye (``kind_SCENE.npz``): the places of known scale are none of them. Boxes are as `training.data`
-reads them; boxes that were judged to be no vehicle and random places clear of all boxes are kept as such. Of the chips'
-boxes only those are.
+Written are a file for each scene; for the scenes of READ one more with vehicles whose edges were read by eye
+(``hand_SCENE.npz``); and for those of TOLD one more with vehicles whose kind was determined by eye
+(``kind_SCENE.npz``). Places of known scale are not among them. Boxes are as `training.data` reads them. Boxes that were
+judged not to be vehicles, and random places clear of all boxes, are stored as "none"; of the chips' boxes, only those
+are stored.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from training.data import LabelledImage, as_stored, read_labels
 from training.evaluate import measured_scenes
 from training.kinds import LABELS
 
-SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
+SCENES = ("munich", "minsk", "bogota", "warsaw")  # whose vehicles are trained on; those of others are held out
 EMPTY = ("park", "dunes")
-DECEIVING = ("buildings", "harbor", "storagetanks", "tenniscourt")  # of which only what looks like a vehicle is kept
-SMALLEST = 12.0  # vehicles shorter than this are not learnt from [px]
-CROP_LENGTHS = 1.6  # of a patch from a vehicle's centre, either way, in its lengths
+DECEIVING = ("buildings", "harbor", "storagetanks", "tenniscourt")  # of which only things like vehicles are kept
+SMALLEST = 12.0  # vehicles shorter than this are not trained on [px]
+CROP_LENGTHS = 1.6  # half side of a patch around a vehicle's centre, in vehicle lengths
 GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
 EMPTY_GROUND = 25
-GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
-READ = (*SCENES, "judged", "ohio", "chips")  # whose edges read by eye are learnt from; other places try the network
-# Whose kinds are; the chips' pictures are named by what they show.
+GROUND_LENGTHS = (16.0, 90.0)  # of the box at a place without a vehicle [px]
+READ = (*SCENES, "judged", "ohio", "chips")  # whose edges, read by eye, are trained on; other places are for tests
+# The same for kinds; the chips' pictures are named by what they show.
 TOLD = (*SCENES, "judged", "ohio", "buildings", "denseresidential", "freeway", "intersection", "mobilehomepark",
         "overpass", "parkinglot", "storagetanks", "tenniscourt")  # fmt: skip
 SLANTED = ("sheffield",)  # scenes of oblique frames, where readers and measurers mean different edges
-WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
+WIDTH_HABIT = 1.027  # factor by which readers saw widths too small (labels/margins.json)
 NONE, UNKNOWN = ANSWERS.index("none"), -1
 
 
 @dataclass(frozen=True)
 class Patch:
     """pixels : (H, W, 3) uint8 RGB. box : (5,) in it. whole : bool, not cut by the picture's edge. kind : index
-    into ANSWERS, or UNKNOWN, some vehicle."""
+    into ANSWERS, or UNKNOWN for a vehicle of any kind."""
 
     pixels: np.ndarray
     box: np.ndarray
@@ -55,7 +56,7 @@ class Patch:
 
 
 def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
-    """All vehicles of a labelled picture, and places without any; of a DECEIVING one only what looks like vehicles."""
+    """All vehicles of a labelled picture, and places without any; of a DECEIVING scene only things like vehicles."""
     pixels = cv2.imread(str(image.path), cv2.IMREAD_COLOR)
     if pixels is None:
         raise FileNotFoundError(f"{image.path}: not an image that OpenCV can read")
@@ -81,7 +82,7 @@ def read_patches(path: Path, read: np.ndarray) -> list[Patch]:
 
 
 def told_patches(data: Path, told: Iterable[Mapping[str, Any]]) -> list[Patch]:
-    """Vehicles as labels/kinds.json has them, whose pictures lie under `data`."""
+    """Vehicles in the form of labels/kinds.json, whose pictures lie under `data`."""
     return [
         patch
         for picture, some in by_name(told, "picture").items()
@@ -90,7 +91,7 @@ def told_patches(data: Path, told: Iterable[Mapping[str, Any]]) -> list[Patch]:
 
 
 def by_name(vehicles: Iterable[Mapping[str, Any]], name: str) -> dict[str, list[Mapping[str, Any]]]:
-    """The vehicles by what each has under `name`."""
+    """The vehicles grouped by their entry `name`."""
     some: dict[str, list[Mapping[str, Any]]] = {}
     for vehicle in vehicles:
         some.setdefault(vehicle[name], []).append(vehicle)
@@ -104,7 +105,7 @@ def _patches(path: Path, wanted: Iterable[tuple[np.ndarray, int]]) -> list[Patch
 
 
 def _patch(pixels: np.ndarray, box: np.ndarray, kind: int) -> Patch | None:
-    """A box with its surroundings; None where the picture has hardly any of it."""
+    """A box with its surroundings; None if hardly any of it lies in the picture."""
     reach = CROP_LENGTHS * max(box[2], 2 * box[3]) + 4
     height, width = pixels.shape[:2]
     x0, y0 = np.maximum(np.floor(box[:2] - reach), 0).astype(int)

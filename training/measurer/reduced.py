@@ -1,4 +1,4 @@
-r"""By how much readers and the measurer read a vehicle smaller once its picture is small, sharpened and compressed.
+r"""By how much readers and the measurer change a vehicle's size if its picture is reduced, sharpened and compressed.
 
     python -m training.measurer.reduced sheets --data ../shared/data --beside banepa --out runs/reduced
     python -m training.by_hand draw runs/reduced ANSWERS.json          # as any sheets, see training/by_hand.py
@@ -6,13 +6,13 @@ r"""By how much readers and the measurer read a vehicle smaller once its picture
     python -m training.measurer.reduced told --measurer M.onnx --data ../shared/data --readers e g
     python -m training.measurer.reduced small --measurer M.onnx --data ../shared/data
 
-Where vehicles are small, no one knows where their edges are; where they are large, several readers agree to 1 %. So
-vehicles that were read large are read by another reader, some as they are, some made as small as those of a place in
-doubt, among vehicles of that place itself. What he reads otherwise than the readers before is his habit, and none of
-the measurer's. `keep` writes labels/read_again_X.json (what was read as it is) and labels/read_reduced_X.json.
+The true edges of small vehicles are unknown, but for large ones several readers agree to 1 %. So another reader reads
+large vehicles that were read before: some as they are, some reduced to the size of those at a doubtful place, and mixed
+with vehicles of that place itself. The difference from the former readers is the reader's bias, not the measurer's.
+`keep` writes labels/read_again_X.json (vehicles read as they are) and labels/read_reduced_X.json.
 
-`small`: by how many pixels the measurer tells vehicles larger where they are small, in pictures made in several ways.
-That is the card's margin, but for what it tells large ones too large (`training.measurer.evaluate rendered`).
+`small`: by how many pixels the measurer makes vehicles larger if they are small, in pictures reduced in several ways.
+This is the card's margin, apart from its error on large ones (`training.measurer.evaluate rendered`).
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from training.evaluate import measured_scenes, middle
 from .chain import jpeg, sharpen
 from .evaluate import trusted
 
-SMALL = (22.0, 34.0)  # lengths of the reduced vehicles [px], as those of the cars of `banepa`
-LARGE = 44.0  # lengths of those that are reduced, at least [px]
+SMALL = (22.0, 34.0)  # lengths of the reduced vehicles [px], as of the cars in `banepa`
+LARGE = 44.0  # least length of vehicles that are reduced [px]
 LENGTHS = (13, 16, 20, 28)  # of vehicles in `small` [px]
 SHARP = ("brighton", "chongqing", "kampala", "manila", "tianjin", "weedon")  # test places of large vehicles
-AROUND = 3.0  # of a vehicle's window from its centre, either way, in its lengths
-SOURCES = "sources.json"  # in the sheets' folder: where each reduced picture is from
+AROUND = 3.0  # half side of the window around a vehicle's centre, in vehicle lengths
+SOURCES = "sources.json"  # in the sheets' folder: the origin of each reduced picture
 
 
-Way = Callable[[np.ndarray], np.ndarray]  # what becomes of a picture (H, W, 3), light 0..1, once it is reduced
+Way = Callable[[np.ndarray], np.ndarray]  # the processing of a picture (H, W, 3), light 0..1, after its reduction
 
 
 def _blurred(sigma: float) -> Way:
@@ -77,7 +77,7 @@ WAYS: dict[str, Way] = {
 
 
 def reduced(pixels: np.ndarray, factor: float, way: Way) -> np.ndarray:
-    """`pixels` (H, W, 3) uint8 at `factor` times the size, and then changed in that way."""
+    """`pixels` (H, W, 3) uint8 at `factor` times the size, and then processed in the way `way`."""
     size = round(pixels.shape[1] * factor), round(pixels.shape[0] * factor)
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
     return np.asarray(np.clip(np.round(255 * way(small)), 0, 255)).astype(np.uint8)
@@ -100,7 +100,8 @@ def made_small(
 
 
 def sheets(data: Path, places: Sequence[str], beside: str, count: int, seed: int, folder: Path) -> None:
-    """Draw `count` large vehicles of each of `places`, two of three reduced, and as many of the place `beside`.
+    """Draw `count` large vehicles of each of `places`, two of three reduced, and as many small ones of the place
+    `beside` as are reduced.
 
     None is drawn twice: a reader would measure one by the other.
     """
@@ -156,14 +157,14 @@ def keep(folder: Path, answers: Path, reader: str, data: Path) -> None:
 
 
 def told_size(measurer: Measurer, pixels: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """(2,) as the measurer tells it in `pixels`, BGR, by the length of `box` (5,); nan where it is unsure."""
+    """(2,) the measurer's length and width in `pixels`, BGR, divided by the length of `box` (5,); NaN if unsure."""
     found = measurer.in_pixels(np.ascontiguousarray(pixels[..., ::-1]), Boxes(box[None], np.ones(1)))
     return np.where(trusted(found)[0], found.boxes.xylwa[0, 2:4] / box[2], np.nan)
 
 
 def small(measurer: Measurer, data: Path, places: Sequence[str]) -> str:
-    """By how many pixels lengths and widths of large vehicles are told larger where they are made small: medians over
-    all vehicles, by length and way."""
+    """By how many pixels the measurer makes lengths and widths of large vehicles larger if they are reduced: medians
+    over all vehicles, by length and way."""
     lines = [f"{'':22s}" + "".join(f"{length:14d} px" for length in LENGTHS)]
     vehicles = [
         window(p.picture.path, box) for scene in measured_scenes(data) if scene.name in places
@@ -183,7 +184,7 @@ def small(measurer: Measurer, data: Path, places: Sequence[str]) -> str:
 
 
 def told(measurer: Measurer, data: Path, readers: Sequence[str]) -> str:
-    """What becomes of vehicles' sizes as they are reduced, by each reader, and by the measurer; medians and their one
+    """Changes of vehicles' sizes by a reduction, according to each reader and to the measurer; medians and their one
     sigma."""
 
     def line(name: str, changes: Sequence[np.ndarray]) -> str:

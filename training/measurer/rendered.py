@@ -2,8 +2,8 @@ r"""Pictures in linear light with exact vehicles, from which the measurer's trai
 
     python -m training.measurer.rendered runs/bank --count 150 --seed 1
 
-A scene is rendered once, finely and without any camera; each crop then gets a camera of its own (`chain`). Most views
-lean, so that flanks and roofs stand out; a vehicle's box encloses all that it shows, but for its mirrors.
+A scene is rendered once, finely and without a camera's effects; each crop then gets a camera of its own (`chain`). Most
+views are oblique, so that flanks and roofs show; a vehicle's box encloses all of it that shows, except its mirrors.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from orthoscale.synthetic.view import View
 GSD = 0.035  # metres per pixel of the bank
 EXTENT = 46.0  # side of a scene [m]
 SAMPLES = 2  # per pixel, each way
-BRIGHTEST = 1.2  # linear light that 255 stands for
-LEANING = 0.7  # share of the views that are not straight down
-MOST_LEAN = 1.9  # tangent of the angle off the vertical: 62 degrees. Half of the leaning views are within 25 degrees
+BRIGHTEST = 1.2  # linear light that is stored as 255
+LEANING = 0.7  # share of the views that are oblique
+MOST_LEAN = 1.9  # tangent of the angle off the vertical: 62 degrees. Half of the oblique views are within 25 degrees
 TUCKED = 0.25, 0.1  # how far ends and sides of real vehicles recede below their bumpers and doors, at most [m]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
 UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
 MORE_PICKUPS = 0.6
-# Beds of pickups, seen on real ones: of the length, behind two rows of doors, a row and a half, and one.
-BEDS = ((0.6, 0.25, 0.34), (0.2, 0.34, 0.39), (0.2, 0.39, 0.46))  # share of them, from, to
+# Beds of pickups, from real ones: behind double cabs, extended cabs and single cabs.
+BEDS = ((0.6, 0.25, 0.34), (0.2, 0.34, 0.39), (0.2, 0.39, 0.46))  # frequency; from, to [share of the length]
 OPEN, LID = 0.65, 0.2  # shares of the beds; the others have a cap
-LOADED = 0.4  # share of the open ones
-CLEAR = (0.4, 1.0)  # of the sky's light that a clear sky gives: shadows are black there
+LOADED = 0.4  # share of the open beds
+CLEAR = (0.4, 1.0)  # factor on the sky's light: with little of it, shadows are black
 OVERCAST = 0.12  # share of the scenes without cast shadows
 PALE = 0.3  # share of the scenes whose ground is as light as sunlit concrete or white paint
 PALE_ALBEDO = 0.35, 0.7
-FLAT = 0.02  # [m], up to here faces are ground
+FLAT = 0.02  # [m] faces up to this height are ground
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
-FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
+FOCAL = 6.0  # focal length of oblique views, in picture widths: nearly parallel rays
 FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
-LORRY_HEIGHT = 2.5  # effective height of lorries in leaning views [m], as in `orthoscale.synthetic.labels`
-STRIP = 0.35  # depth of the strip inside an edge that tells whether the edge is seen [m]
-SEEN = 0.6  # share of what the vehicle has of that strip which must be in sight
-VISIBLE = 0.3  # share of a vehicle in sight from which it is learnt from
-MIRRORS = 0.02  # [m], further out than the body there are only mirrors
+LORRY_HEIGHT = 2.5  # effective height of lorries in oblique views [m], as in `orthoscale.synthetic.labels`
+STRIP = 0.35  # depth of the strip inside an edge that decides whether the edge is seen [m]
+SEEN = 0.6  # share of the vehicle's part of that strip which must be visible
+VISIBLE = 0.3  # visible share of a vehicle from which it is used for training
+MIRRORS = 0.02  # [m] farther than this outside the body there are only mirrors
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class Rendered:
 
 
 def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """The vehicle with bumpers that stand out more or less, some of them unpainted, and blunter or rounder in plan; of
-    the high ones more are pickups than the fleet has."""
+    """The vehicle with bumpers that protrude more or less, some of them unpainted, and blunter or rounder in plan. Of
+    the high ones, more become pickups than in the fleet."""
     if vehicle.shape in ("suv", "van") and vehicle.length > 4.6 and rng.random() < MORE_PICKUPS:
         vehicle = replace(vehicle, shape="pickup")
     pickup = vehicle.shape == "pickup"
@@ -115,7 +115,7 @@ def _bed(vehicle: Vehicle, rng: np.random.Generator) -> Bed:
 
 
 def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
-    """Give half of the vehicles of a mesh brighter windows, as the sky in them or the seats behind them make them."""
+    """Give half of the vehicles of a mesh brighter windows, as with a reflection of the sky or bright seats."""
     glass = np.isclose(mesh.colour, GLASS).all(1) & (mesh.owner >= 0)
     for vehicle in np.unique(mesh.owner[glass]):
         if rng.random() < BRIGHT_GLASS:
@@ -124,7 +124,7 @@ def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
 
 
 def bleached(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene on ground that is nearly as light as white vehicles, whose edges then hardly show."""
+    """The scene on ground nearly as light as white vehicles, whose edges then hardly show."""
     scenery = scene.scenery
     flat = (scenery.corners[..., 2] < FLAT).all(1) & (scenery.colour.mean(1) < PALE_ALBEDO[0])
     ground, grey = np.array(scene.ground[1], float), rng.uniform(0, 0.7)
@@ -141,7 +141,7 @@ def bleached(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def random_view(scene: Scene, rng: np.random.Generator) -> View:
-    """Straight down, or leaning, at GSD metres per pixel."""
+    """A view straight down or oblique, at GSD metres per pixel."""
     if rng.random() > LEANING:
         return ortho_view(scene, GSD)
     size = round(scene.extent_m / GSD)
@@ -152,7 +152,7 @@ def random_view(scene: Scene, rng: np.random.Generator) -> View:
 
 
 def directed_boxes(vehicles: tuple[Vehicle, ...], view: View, height: float = 0.8) -> np.ndarray:
-    """(N, 5) boxes of `vehicle_boxes` with their angle that of the front."""
+    """(N, 5) boxes of `vehicle_boxes`, with the angle of the direction of the front."""
     boxes = vehicle_boxes(vehicles, view, height).xylwa
     ends = np.array([[[v.x, v.y, 0.4], [v.x + np.cos(v.heading), v.y + np.sin(v.heading), 0.4]] for v in vehicles])
     ahead = np.diff(view.project(ends.reshape(-1, 2, 3)), axis=1)[:, 0]
@@ -161,8 +161,8 @@ def directed_boxes(vehicles: tuple[Vehicle, ...], view: View, height: float = 0.
 
 
 def silhouettes(scene: Scene, view: View) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What each vehicle shows of itself in `view`, whatever stands before it: (N, 5) the boxes about it, along the
-    vehicle's direction, the front's; and the corners (F, CORNERS, 2) of its faces there. Mirrors are left out."""
+    """Silhouettes of vehicles in `view`, without occlusion by other things: (N, 5) the boxes around them, directed to
+    the front; and for each the corners (F, CORNERS, 2) of its faces in the view. Mirrors are left out."""
     boxes, outlines = directed_boxes(scene.vehicles, view), []
     for k, vehicle in enumerate(scene.vehicles):
         faces = scene.mesh.corners[scene.mesh.owner == k]
@@ -180,8 +180,8 @@ def silhouettes(scene: Scene, view: View) -> tuple[np.ndarray, list[np.ndarray]]
 
 
 def in_sight(boxes: np.ndarray, outlines: Sequence[np.ndarray], owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 4) bool, see `Rendered.seen`, and (N,) the share of each vehicle that nothing hides. outlines : of
-    `silhouettes`. owner : (H, W) the vehicle that each pixel shows."""
+    """(N, 4) bool, see `Rendered.seen`, and (N,) the visible share of each vehicle. outlines : of `silhouettes`.
+    owner : (H, W) the vehicle that each pixel shows."""
     seen, share = np.zeros((len(boxes), 4), bool), np.zeros(len(boxes))
     for k, (x, y, length, across, angle) in enumerate(boxes):
         if not (0 < x < owner.shape[1] and 0 < y < owner.shape[0]):
@@ -189,7 +189,7 @@ def in_sight(boxes: np.ndarray, outlines: Sequence[np.ndarray], owner: np.ndarra
         reach = int(np.hypot(length, across) / 2) + 2
         x0, y0, x1, y1 = max(int(x) - reach, 0), max(int(y) - reach, 0), int(x) + reach, int(y) + reach
         mine = owner[y0:y1, x0:x1] == k
-        whole = np.zeros((y1 - y0, x1 - x0), np.uint8)  # the vehicle alone, beyond the picture too
+        whole = np.zeros((y1 - y0, x1 - x0), np.uint8)  # the vehicle alone, also beyond the picture
         for face in outlines[k]:
             cv2.fillPoly(whole, [np.round(face - (x0, y0)).astype(np.int32)], 1)
         there = np.zeros(whole.shape, bool)
@@ -205,18 +205,18 @@ def in_sight(boxes: np.ndarray, outlines: Sequence[np.ndarray], owner: np.ndarra
 
 
 def rendered(seed: int, overcast: bool | None = None) -> Rendered:
-    """One scene; equal seeds give equal ones. overcast : without cast shadows, or with them; None: by chance."""
+    """One scene; the same for the same seed. overcast : without cast shadows, or with them; None: by chance."""
     rng = np.random.default_rng([seed, 16])
     style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
     scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
     scene = replace(scene, vehicles=tuple(varied(v, rng) for v in scene.vehicles))
-    pale = np.random.default_rng([seed, 17])  # of its own: other scenes stay what they were
+    pale = np.random.default_rng([seed, 17])  # a generator of its own, so that other scenes stay the same
     if pale.random() < PALE:
         scene = bleached(scene, pale)
     if rng.random() < LOW_SUN:
         azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(10, 30))
         sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
-        # What stands upright and the camera's exposure make up for the little light that level ground gets.
+        # Upright surfaces and the camera's exposure compensate for the little light on level ground.
         scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.3, 1.1))
     else:
         scene = replace(scene, skylight=scene.skylight * rng.uniform(*CLEAR))

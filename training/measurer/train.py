@@ -4,9 +4,9 @@ r"""Train the measurer.
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
     python -m training.measurer.train --bank runs/bank --run runs/new --steps 20000
 
-A step is BATCH crops, made by a process of its own; two cores do 60 to 240 crops a second. The checkpoint holds
-everything: `--resume` goes on where it stopped, in newly drawn crops. The exponential moving average of the weights is
-what `export` writes.
+A step takes BATCH crops, which are made by a process of their own; two cores do 60 to 240 crops a second. The
+checkpoint holds everything: `--resume` continues where it stopped, with newly drawn crops. `export` writes the
+exponential moving average of the weights.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .network import Habits, MeasureNet, loss
 from .real import NONE, SCENES
 
 BATCH = 32
-HABITS_RATE = 10.0  # times the network's
+HABITS_RATE = 10.0  # learning rate of `Habits` as a multiple of the network's
 
 
 class Batches(IterableDataset):  # type: ignore[type-arg]
