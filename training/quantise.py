@@ -36,8 +36,10 @@ VEHICLE = -1.0  # logit of the heat from which the outputs of a cell count as th
 
 
 def quantise(network: Path, shown: Sequence[np.ndarray], out: Path) -> None:
-    """Write the detector `network` (ONNX) to `out` in 8 bits, with its card. shown :
-    calibration inputs (3, h, w) uint8."""
+    """Write the detector `network` (ONNX) to `out` in 8 bits, with its card.
+
+    shown : calibration inputs (3, h, w) uint8.
+    """
     import onnx
 
     with tempfile.TemporaryDirectory() as scratch:
