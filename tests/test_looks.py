@@ -17,6 +17,9 @@ from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.contradiction import Cause, cause
+from orthoscale.core.measuring.measure import measure
+from orthoscale.core.measuring.method import Method
+from orthoscale.core.measuring.oblique import ExactGeometry
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import CONTRADICTION, compare, together
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
@@ -108,6 +111,14 @@ def test_a_frame_of_another_scale_is_named(flight, found):
 
 
 @pytest.mark.slow
+def test_the_ruler_that_is_reported_is_the_one_that_was_measured_with(flight, found):
+    """After the last round nothing is refined: no vehicle would have been measured with that."""
+    geometry = ExactGeometry.of(ColmapSource.open(flight[0]), found, FLEET, Method())
+    first = measure(replace(geometry, rounds=1), FLEET).found.calibration
+    later = measure(geometry, FLEET).found.calibration
+    assert first.ruler is first.card and later.ruler is not later.card
+
+
 def test_one_look_answers_where_the_other_has_too_little(flight, found):
     source = ColmapSource.open(flight[0])
     before = list(source.notes)
