@@ -41,9 +41,9 @@ SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: largest distance between the place
 def measure_source(
     source: Source, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
 ) -> Measurement:
-    """The scale of `source` by the vehicles `found` in it. mode : for a posed set, see `measure_posed`; a plan has none.
+    """The scale of `source` by the vehicles `found` in it.
 
-    Raises TooLittleEvidence, UsageError.
+    mode : of a posed set, see `measure_posed`; a plan has none. Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
@@ -121,21 +121,21 @@ def _answer(
 def _by_vehicles(
     source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
 ) -> Scale:
-    """The scale by all vehicles of both modes, each counted once. A vehicle found in a single ground picture, and in
-    none of the many frames that show its place, is a false detection."""
+    """The scale by all vehicles of both modes, each counted once. A vehicle found in one ground picture only, and in
+    none of many frames that show its place, is a false detection."""
     first = next(iter(modes.values()))
     votes, ruler, covariance = united(*modes.values())
     in_frames = shown_in_frames(source, found, first.boxes, votes.place)
     votes = replace(votes, shown=in_frames if votes.shown is None else np.maximum(votes.shown, in_frames))
-    more = next((m.pooled.more for m in modes.values() if m.pooled.more), ())  # both modes see the same rows of vehicles
+    more = next((m.pooled.more for m in modes.values() if m.pooled.more), ())  # both modes see the same rows
     scale = method.pool(votes, fleet, ruler, first.scale.unit, covariance, more)
     checks = {**scale.checks, **{name: m.scale.value for name, m in modes.items()}}
     return replace(scale, used=first.scale.used, reasons=first.scale.reasons, checks=checks)
 
 
 def _of_one_scale(measured: Measurement) -> Measurement:
-    """`measured`, with the drift of its scale as a part of the uncertainty: the scale at a single place is less certain
-    than the mean."""
+    """`measured`, with the drift of its scale as a part of the uncertainty: the scale at one place is less certain than
+    the mean."""
     if measured.drift is None:
         return measured
     return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
