@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-# Uncertainty of the height of a reconstruction's ground by its sparse points alone, one sigma as a share of the
-# camera's height (`parallax` does better): on bare ground the points of the two real scenes scatter by about this much.
+# Uncertainty of the height of a reconstruction's ground by its sparse points alone (with vehicles, see `parallax`): one
+# sigma as a share of the camera's height. On bare ground the points of the two real scenes scatter by about this much.
 # It is a relative error of everything that is measured on the ground.
 GROUND_SD = 0.01
 
@@ -38,7 +38,7 @@ class Footing:
         return cKDTree(self.place)
 
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) `lower` at `place` (N, 3), that under the nearest vehicle; and (N,) one sigma of it, without `shared`."""
+        """(N,) `lower` at `place` (N, 3), taken from the nearest vehicle; and (N,) its one sigma, without `shared`."""
         if not len(self.place):
             return np.zeros(len(place)), np.zeros(len(place))
         away, nearest = self._tree.query(place)
