@@ -28,7 +28,7 @@ def share_confirmed(length: np.ndarray, confirmed: np.ndarray, seen: np.ndarray)
     """(K,) share of the boxes of about each `length` (K,) that both passes find.
 
     confirmed : (M,) lengths of the boxes that both passes find. seen : (N,) lengths of all boxes, these included. One
-    of one says little, so one confirmed and one unconfirmed box are added (Laplace's rule of succession).
+    of one says little, so the counts begin with one of three boxes.
     """
     both, every = (1 + about(np.log(length), np.sort(np.log(some))) for some in (confirmed, seen))
     return np.asarray(both / (2 + every))
