@@ -43,7 +43,7 @@ SETTLED = 1e-4  # relative change of the scale at which the rounds end
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
 # How far the effective height of one view's box strays from its mean, one sigma [m]: sides in the shade are left out in
 # some views, and roofs differ. In views of 48 vehicles of `sheffield` that lean by 0.5 to 1, it strays by 0.15 m in
-# width and 0.18 m in length beyond the stated sigmas; heights of cars vary by 0.18 m.
+# width and 0.18 m in length, more than the stated sigmas; heights of cars vary by 0.18 m.
 VIEW_HEIGHT_SD = 0.25
 LEAST_SIZE = 0.5  # [m] least size of a vehicle that relative errors are taken of
 NO_GROUND = "no ground under the box, or too low an elevation angle"
