@@ -17,7 +17,7 @@ from ..fleet import WORLD
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row have the same heading, or the opposite one
 ASKEW = 0.25  # of a length: how far one neighbour may stand ahead of the other
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
-STALLS_COMPARED = 6  # largest distance compared, in stalls: parking jitter does not grow with it, an error of pitch does
+STALLS_COMPARED = 6  # largest distance compared: the pitch's error grows with it, parking jitter does not
 NEIGHBOURS = 256  # most neighbours within that reach: twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
 MIN_IN_ROWS = 8  # vehicles in rows, below which no pitch is measured
@@ -25,9 +25,9 @@ MIN_IN_ROWS = 8  # vehicles in rows, below which no pitch is measured
 # within 0.12 m of their stall's middle, 0 for vehicles at random places.
 RHYTHM = 0.7
 AT_ONCE = 4096  # vehicles or distances that are worked on at a time, in some 10 MB
-# How far the stalls of one place, all of one width, differ from their country's standard, one sigma [m]: the sourced
-# rows of the table give 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. With the table's own
-# sigma that makes 0.17 m or more. The figures that the table's sources name differ from their rows by about as much:
+# How far the stalls of one place differ, all together, from their country's standard, one sigma [m]: the sourced rows
+# of the table give 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. With the table's own sigma
+# that makes 0.17 m or more. The figures that the table's sources name differ from their rows by about as much:
 # the 37 that differ at all by 0.23 m rms, together with the 26 that do not by 0.18. RECALLED_SD is for standards that
 # were only recalled; half of those behind the world's row were. Rows differ by 0.09 m (one sigma), which with 0.23 is
 # 0.25.
@@ -47,7 +47,7 @@ def parking_pitch(
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
-    [m]. country : ISO code, or the key of a row. ``WORLD`` is any country: the pitch may then follow any row's standard.
+    [m]. country : ISO code, or the key of a row; for ``WORLD`` the pitch may follow any row's standard.
     min_vehicles : in rows, below which no pitch is measured.
     """
     rules = [key for key, stall in stalls.items() if country in (WORLD, key, *stall.get("countries", ()))]
