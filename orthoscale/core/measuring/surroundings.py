@@ -126,7 +126,7 @@ def objects_in_model(
         middle, whole, none = by_height
         unsure = 0.0
         if tall > FLAT and all(by_height):
-            # All heights are compared by the standard that is likeliest here, even if the box's shape then fits another.
+            # Compare the heights by this one standard, even where the box's shape would then fit another better.
             likely = evidence_of(middle)[0]
             about = Posterior.normal(float(np.log(likely.value)), likely.relative_sd)
             scales = [evidence_of(votes)[0].meant(about).value for votes in (whole, none)]

@@ -25,8 +25,8 @@ def measured_without_vehicles(
 
     unit : of the scale. fleet : code of the fleet that vehicles would have been compared with. dims : number of
     coordinates of a place in the source. lost : number of boxes that are not vehicles, by reason. Raises
-    TooLittleEvidence unless two kinds of evidence agree on a useful scale, or contradict each other: then the scale is
-    in conflict.
+    TooLittleEvidence for fewer than two kinds of evidence, and where no two agree on a useful scale; kinds that
+    contradict each other give a scale in conflict.
     """
     if len({e.kind for e in evidence}) < FEWEST_KINDS:
         raise _too_little(", ".join(e.says for e in evidence) or "none")
