@@ -14,7 +14,8 @@ from ..scale import Scale
 from ..source import GroundView
 from .footing import BY_POINTS, GROUND_SD, Footing
 
-FRAMES_APART = 2.0  # largest distance between the places of one line, or one centre, by two frames [GROUND_SD heights]
+# How far two frames may place one line, or one centre, apart, in units of GROUND_SD times the camera's height.
+FRAMES_APART = 2.0
 # Prior of how far frames scatter in placing one thing on the ground: one sigma as a share of the camera's height, with
 # the weight of PLACED_LIKE observations.
 PLACED_SD, PLACED_LIKE = 0.003, 4

@@ -21,9 +21,9 @@ class Footing:
     points.
 
     place : (M, 3) of the boxes on the ground [units, world]. lower : (M,) how far the ground lies below that surface
-    there, as a share of the cameras' height. each : (M,) one sigma of `lower`, independent from place to place.
-    shared : one sigma common to all places. uneven : one sigma of how `lower` varies from place to place. reach : its
-    correlation length [units].
+    there, as a share of the cameras' height. each : (M,) one sigma of `lower`, without `shared`. shared : one sigma of
+    it common to all places. uneven : one sigma by which `lower` varies from place to place. reach : its correlation
+    length [units].
     """
 
     place: np.ndarray

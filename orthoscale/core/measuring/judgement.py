@@ -31,7 +31,7 @@ def judgements(
 ) -> tuple[Judgement, ...]:
     """The checks of the scale of `measured`, the most serious first.
 
-    claim : the source's own claim of its scale, compared. remarks : all remarks; by default those of `measured` alone.
+    claim : comparison with the scale that the source claims. remarks : all remarks; by default those of `measured`.
     """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
