@@ -128,8 +128,8 @@ class Source(Pictures, Protocol):
         ...
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) positions, x right and y up [source units], of places (N, D) in its own coordinates: the ground as seen
-        from above, never mirrored."""
+        """(N, 2) positions, x right and y up [source units], of places (N, D) in its own coordinates: the ground as
+        seen from above, never mirrored."""
         ...
 
     def locate(self, point: str) -> Located:
