@@ -59,7 +59,7 @@ class Votes:
     sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where the ruler's holds.
     kinds : (N, 4) probability of each of `boxes.KINDS`, NaN where unknown.
     lasting : (N, 2) relative one-sigmas of those errors of its size that more views do not reduce: from the ground's
-        height under it, and from how its body is seen.
+        height under it, and from how high its boxes reach.
     shown : (N,) number of pictures that have its place in view, None if that is not known.
     """
 
