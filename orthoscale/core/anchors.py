@@ -1,4 +1,4 @@
-"""Anchors, objects of standard size in a picture: the values that describe one, and the scale that follows from it."""
+"""Anchors, objects of standard size in a picture: the types that describe them, and the protocol of their finders."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def share_confirmed(length: np.ndarray, confirmed: np.ndarray, seen: np.ndarray)
     """(K,) share of the boxes of about each `length` (K,) that both passes find.
 
     confirmed : (M,) lengths of the boxes that both passes find. seen : (N,) lengths of all boxes, these included. One
-    of one says little, so the counts begin with one of three boxes.
+    of one says little, so one confirmed box of three is added to the counts.
     """
     both, every = (1 + about(np.log(length), np.sort(np.log(some))) for some in (confirmed, seen))
     return np.asarray(both / (2 + every))

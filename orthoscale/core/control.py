@@ -108,9 +108,9 @@ def widest_angle(rays: np.ndarray) -> float:
 
 
 def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """(N,) relative growth of all distances between `points` (N, D) if the ground under one of them lies lower, per
-    cameras' height; they sum to 1 for points of one picture. rays : (N, D) from the cameras to the points, 0 for a
-    point that was not seen on the ground; in the same units."""
+    """(N,) relative growth of all distances between `points` (N, D) per lowering of the ground under each of them, as a
+    share of the cameras' height; they sum to 1 for points of one picture. rays : (N, D) from the cameras to the points,
+    0 for a point that was not seen on the ground; in the same units."""
     off = points - points.mean(0)
     return np.asarray((off * rays).sum(1) / (off**2).sum())
 

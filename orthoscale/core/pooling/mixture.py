@@ -26,7 +26,7 @@ from .solver import believed_share, solve
 
 SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # half width of the grid about the votes' median, its two steps [log scale]
 COARSE_VOTES = 60  # number of votes to which the coarse grid is fitted
-MANY = 200  # if there are more votes, so many of them first exclude impossible scales
+MANY = 200  # if there are more votes, this many of them first rule out impossible scales
 # The greatest number of votes to which the scale is fitted. With a thousand vehicles, sampling leaves 0.4 %, with 5,000
 # less than 0.2 %, where fleet and margin leave 3 to 5 %: more votes cost time and memory, and tell nothing.
 MOST_VOTES = 5000

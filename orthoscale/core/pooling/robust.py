@@ -205,7 +205,7 @@ def _of_candidates(
     prior = np.array(fleet.prior or (1.0,))
 
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
-        """The scale by `number` of the votes for each candidate that is `wanted`, without those that they cannot be."""
+        """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
         found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.drawing, ruler.confusion)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
@@ -243,8 +243,8 @@ def _of_fleets(
     drawing: Drawing,
     confusion: Confusion | None,
 ) -> list[_Vehicles | None]:
-    """The scale by the vehicles `seen` if they are of each of `fleets`, None where they cannot be. known : by part, the
-    (2, 2) covariances of the other errors common to all of them."""
+    """The scale by the vehicles `seen` under each of `fleets`, None where they cannot be of it. known : by part of the
+    uncertainty, the (2, 2) covariances of the other errors common to all of them."""
     every, mixes = [], []
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart

@@ -27,7 +27,7 @@ GIVEN_UP = {2: 130.0, 4: 60.0, 8: 25.0}
 
 
 def solve(problems: Sequence[Problem], starts: Sequence[Hypotheses], steps: int) -> list[Hypotheses]:
-    """Each hypothesis of each of `starts`, fitted from its start by so many `steps` at most.
+    """Each hypothesis of each of `starts`, fitted from there by at most `steps` steps.
 
     `problems` have the same votes and equally many classes. They are solved together, and each hypothesis only until it
     is still, or so unlikely that it will not become possible.
