@@ -5,7 +5,7 @@ result = orthoscale.estimate("ortho.tif", fleet="DE")
 result.scale.value, result.scale.interval90, result.vehicles
 orthoscale.fix("model/", "scaled/", fleet="US")
 
-What it does is told to the logger ``orthoscale``.
+Progress is logged to the logger ``orthoscale``.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ __all__ = [
 ]
 
 libz.settle()
-# onnxruntime's wheels (1.31 at least) report their use to their maker's server, from the first import on. Pictures and
-# their names are nobody's business: whoever wants that sets the variable to 0.
+# onnxruntime's wheels (1.31 at least) send telemetry to their maker's server, from the first import on. Pictures and
+# their names are nobody's business, so it is off; set the variable to 0 to allow it.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
@@ -82,11 +82,11 @@ _HOME = {
     "save_detections": "formats.detections.own",
 }
 
-logging.getLogger(__name__).addHandler(logging.NullHandler())  # who uses the library says whether it speaks
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent unless the application sets up logging
 
 
 def __getattr__(name: str) -> Any:
-    """Public names are loaded on first use, so that `import orthoscale` costs nothing."""
+    """Load public names on first use, so that `import orthoscale` costs nothing."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

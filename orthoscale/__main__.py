@@ -1,4 +1,4 @@
-"""`python -m orthoscale`, and the command `orthoscale`: signal handlers come before anything large is loaded."""
+"""`python -m orthoscale`, and the command `orthoscale`. Signal handlers are set before anything large is imported."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ stopping.leave_at_once()
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command line."""
     from .system import quiet
 
     quiet.open_streams()

@@ -1,8 +1,8 @@
 """Which country a name or a place on the Earth belongs to.
 
-Names and codes are those of Unicode's CLDR (package Babel): ISO 3166 codes of two and three letters, numbers, and names
-in English and in the country's own languages. Places are looked up in the polygons of the time zones (package tzfpy,
-OpenStreetMap's borders), of which the IANA table (package tzdata) says the country. Both are read when asked for.
+Names and codes are those of Unicode's CLDR (package Babel): ISO 3166 codes of two and three letters and numbers, and
+names in English and in the country's own languages. Places are looked up in time zone polygons (package tzfpy,
+OpenStreetMap's borders); the IANA table (package tzdata) gives each zone's country. Both are read on first use.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from difflib import get_close_matches
 from functools import cache
 from importlib import resources
 
-# What people write and CLDR does not list. Values are keys of the fleet table or ISO codes.
+# Names that people use and CLDR does not list. Values are keys of the fleet table or ISO codes.
 OTHER_NAMES = {
     "america": "US",
     "england": "GB",
@@ -49,7 +49,7 @@ OTHER_NAMES = {
     "washington d c": "US_DC",
     "palestine": "PS",
     "state of palestine": "PS",
-    # Parts of Mexico whose vehicles differ; the north has many from the USA.
+    # Parts of Mexico, Japan and Thailand with fleets of their own; the north of Mexico has many vehicles from the USA.
     "mexico city": "MX_center",
     "ciudad de mexico": "MX_center",
     "puebla": "MX_center",
@@ -70,7 +70,8 @@ North_Carolina ND North_Dakota OH Ohio OK Oklahoma OR Oregon PA Pennsylvania RI 
 South_Carolina SD South_Dakota TN Tennessee TX Texas UT Utah VT Vermont VA Virginia WA Washington WV
 West_Virginia WI Wisconsin WY Wyoming DC District_of_Columbia"""
 
-# [degrees] its border to some kilometres, Natural Earth 1:110 million; it has no time zone of its own.
+# Its border as longitude, latitude [degrees], to some kilometres: Natural Earth 1:110 million. Kosovo has no time zone
+# of its own.
 KOSOVO = (
     (20.762, 42.052), (20.717, 41.847), (20.590, 41.855), (20.523, 42.218), (20.284, 42.320), (20.071, 42.589),
     (20.258, 42.813), (20.497, 42.885), (20.635, 43.217), (20.814, 43.272), (20.957, 43.131), (21.143, 43.069),
@@ -80,11 +81,12 @@ KOSOVO = (
 
 
 def country_code(text: str) -> str | None:
-    """The ISO 3166 code of two letters, or that of a part of a country (``US_TX``), that `text` means; None for none.
+    """The two-letter ISO 3166 code of the country that `text` names, or the code of a part of one (``US_TX``); None if
+    it names none.
 
-    Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``,
-    a few cities; case, accents and punctuation do not matter (``U.S.A.``). A name's beginning is enough where only one
-    has it ("hong kong"). Several countries are none (``US,CA``); "Georgia, USA" is the state.
+    Understood are codes of two and three letters, names in English and in the country's languages, US states by name or
+    as ``US-TX``, and a few cities. Case, accents and punctuation do not matter (``U.S.A.``). The beginning of a name is
+    enough if it is unique ("hong kong"). A list of countries (``US,CA``) gives None; "Georgia, USA" is the state.
     """
     wanted = _plain(text).removeprefix("the ")
     if not wanted:
@@ -94,7 +96,7 @@ def country_code(text: str) -> str | None:
         return code
     if are_several(text):
         return None
-    if len(wanted) == 2 and wanted.upper() in _in_english():  # a code: the names of all countries take half a second
+    if len(wanted) == 2 and wanted.upper() in _in_english():  # a code; to load all names would take half a second
         return wanted.upper()
     names = _names()
     if wanted in names:
@@ -102,12 +104,12 @@ def country_code(text: str) -> str | None:
     begun = {code for name, code in names.items() if name.startswith(wanted + " ")}
     if len(begun) == 1:
         return begun.pop()
-    joined = re.sub(r"\b(\w) (?=\w\b)", r"\1", wanted)  # U.S.A. is "u s a" without its points
+    joined = re.sub(r"\b(\w) (?=\w\b)", r"\1", wanted)  # "u s a", from U.S.A., to "usa"
     return country_code(joined) if joined != wanted else None
 
 
 def are_several(text: str) -> bool:
-    """Whether `text` lists countries: two parts or more, of which each is one."""
+    """Whether `text` lists several countries: at least two of its parts name one."""
     parts = _parts(text)
     return len(parts) > 1 and sum(country_code(part) is not None for part in parts) > 1
 
@@ -117,11 +119,11 @@ def _parts(text: str) -> list[str]:
 
 
 def _of_two(first: str, second: str) -> str | None:
-    """The code of "STATE, USA", "STATE, its code", or of a name as lists have it: "Korea, Republic of"."""
+    """The code of "STATE, USA", of "STATE, code of the state", or of an inverted name: "Korea, Republic of"."""
     state, more = _states().get(_plain(first)), _plain(second)
     code = f"US_{_plain(first).upper()}"
     if country_code(second) == "US":
-        foreign = _plain(first).upper() in _in_english()  # CA, US may be two countries
+        foreign = _plain(first).upper() in _in_english()  # "CA, US" may be two countries
         return state or (code if code in _states().values() and not foreign else None)
     if state is not None and state == f"US_{more.upper()}":
         return state
@@ -131,28 +133,28 @@ def _of_two(first: str, second: str) -> str | None:
 
 
 def nearest_names(text: str, known: Callable[[str], bool]) -> list[str]:
-    """Up to five names that begin with `text` or are spelled like it, with their codes, such as ``germany (DE)``; of
-    codes that are `known`: a language has names for more."""
+    """Up to five names that begin with `text` or are spelled like it, with their codes: ``germany (DE)``. Only names
+    whose code is `known` (to the caller) are considered."""
     wanted = _plain(text)
     names = {name: code for name, code in _names().items() if known(code)}
-    words = [name for name in names if len(name) > 3]  # codes that differ in a letter are other countries'
+    words = [name for name in names if len(name) > 3]  # no codes: one that differs in a letter is another country's
     begun = [name for name in words if name.startswith(wanted + " ")]
     near = dict.fromkeys([*begun, *get_close_matches(wanted, words, n=5, cutoff=0.7)])
     return [f"{name} ({names[name]})" for name in near if name != wanted][:5]
 
 
 def namesake(code: str) -> str | None:
-    """The code of the US state that is called as the country `code` is: ``US_GA`` for Georgia."""
+    """The code of the US state that has the same name as the country `code`: ``US_GA`` for Georgia; None for none."""
     return _states().get(_plain(country_name(code)))
 
 
 def country_name(code: str) -> str:
-    """The English name of an ISO 3166 code of two letters, or the code itself where it has none."""
+    """The English name of the country with a two-letter ISO 3166 code, or the code itself if there is none."""
     return _in_english().get(code, code)
 
 
 def country_at(longitude: float, latitude: float) -> str | None:
-    """The ISO 3166 code of the country at a place [degrees, WGS 84]; None at sea and outside the range."""
+    """The ISO 3166 code of the country at a place [degrees, WGS 84]; None at sea and for impossible coordinates."""
     if not (-180 <= longitude <= 180 and -90 <= latitude <= 90):
         return None
     from tzfpy import get_tz
@@ -162,7 +164,7 @@ def country_at(longitude: float, latitude: float) -> str | None:
 
 
 def _is_kosovo(longitude: float, latitude: float) -> bool:
-    """By how often the border crosses the parallel to the east of a place."""
+    """Whether a place is inside the border: a ray from it to the east crosses that an odd number of times."""
     crossed = False
     for (x0, y0), (x1, y1) in zip(KOSOVO, (*KOSOVO[1:], KOSOVO[0]), strict=True):
         if (y0 > latitude) != (y1 > latitude) and longitude < x0 + (latitude - y0) / (y1 - y0) * (x1 - x0):
@@ -171,14 +173,14 @@ def _is_kosovo(longitude: float, latitude: float) -> bool:
 
 
 def _plain(text: str) -> str:
-    """Lower case, without accents and punctuation."""
+    """`text` in lower case, without accents and punctuation."""
     bare = (c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
     return " ".join("".join(c if c.isalnum() else " " for c in bare).split())
 
 
 @cache
 def _in_english() -> Mapping[str, str]:
-    """Names of countries by code, and of continents by number."""
+    """English names of countries by code, and of continents by number."""
     from babel import Locale
 
     names: Mapping[str, str] = Locale("en").territories
@@ -194,7 +196,7 @@ def _states() -> dict[str, str]:
 
 @cache
 def _names() -> dict[str, str]:
-    """Code by plain name or code."""
+    """Two-letter code by plain name or by code."""
     from babel import Locale, UnknownLocaleError
     from babel.core import get_global
     from babel.languages import get_official_languages
@@ -213,7 +215,7 @@ def _names() -> dict[str, str]:
     for alias, territories in get_global("territory_aliases").items():
         if len(territories) == 1 and territories[0] in english:
             found[_plain(alias)] = territories[0]
-    found |= {_plain(english[code]): code for code in codes}  # a country before a US state of its name: Georgia
+    found |= {_plain(english[code]): code for code in codes}  # a country overrides a US state of its name: Georgia
     return found | {code.lower(): code for code in codes}
 
 

@@ -1,6 +1,6 @@
 """The hierarchy of errors. Each states what was wrong, where, and what to do; each class has one exit code.
 
-0 scaled; 2 usage; 3 too little evidence; 4 evidence disagrees; 5 input unreadable or damaged; 6 output not written.
+0 success; 2 usage; 3 too little evidence; 4 evidence disagrees; 5 input unreadable or damaged; 6 output not written.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ LONGEST_MESSAGE = 1500  # [characters] of a message or a hint: names and values 
 
 
 def shown(text: object, most: int = 80) -> str:
-    """One line of `text` that a terminal takes for nothing else: control characters, line breaks and bytes that are no
-    characters as escapes, its middle left out where it is longer than `most` characters."""
+    """`text` as one line that is safe to print on a terminal: control characters, line breaks and undecodable bytes are
+    escaped. If it is longer than `most` characters, its middle is left out."""
     line = str(text)
     if len(line) > most:
         line = f"{line[: most - most // 3]} ... {line[-(most // 3) :]}"
@@ -40,18 +40,18 @@ class OrthoscaleError(Exception):
         return f"{self.message}\n{self.hint}" if self.hint else self.message
 
     def reword(self, change: Callable[[str], str]) -> None:
-        """Put `change` of the message in its place, where more is known than where it was raised."""
+        """Replace the message by `change` of it, for a caller that knows more than the code that raised the error."""
         self.message = change(self.message)
 
 
 class UsageError(OrthoscaleError):
-    """The request makes no sense: an unknown fleet, an output that already exists, options that contradict."""
+    """The request makes no sense: an unknown fleet, an output that already exists, contradictory options."""
 
     exit_code = 2
 
 
 class MetricAlready(UsageError):
-    """The input is in metres, and nobody said that its scale is to be replaced."""
+    """The input is in metres already, and the user did not ask to replace its scale."""
 
 
 class TooLittleEvidence(OrthoscaleError):
@@ -73,7 +73,7 @@ class InputError(OrthoscaleError):
 
 
 class OutputError(OrthoscaleError):
-    """An output could not be written, or did not read back as it was meant."""
+    """An output could not be written, or what was read back is not what was written."""
 
     exit_code = 6
 
@@ -81,7 +81,7 @@ class OutputError(OrthoscaleError):
 class Incomplete(OutputError):
     """The main output is verified and in its place; a report or another file beside it could not be made.
 
-    result : what the caller would have got.
+    result : what the call would have returned.
     """
 
     def __init__(self, message: str, hint: str = "", result: Any = None):

@@ -1,4 +1,4 @@
-"""The table of fleets: a fleet by a country's name, by a code, or from a file."""
+"""The table of fleets, from which a fleet is found by a country's name or by a code; and fleets from files."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from .formats.reading import checked, read_plain
 from .system.paths import path_of
 
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
-OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country is not known
-# A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
-# world's average with its many sizes is no country. All that is known is that vehicles stand there, so countries are
-# likely by their vehicles; the rest is for pictures that are taken where people live, or of one country after the
-# other (benchmarks/results/places.md has other shares). The average has a share for countries unlike all of those.
+OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet for an unknown country
+# The prior over countries for a place of which nothing is known. It lies in some country, so the candidates are the
+# fleets of countries: the world's average, with its many sizes, is the fleet of none. All that is known is that there
+# are vehicles, so most of the prior is proportional to the countries' vehicles. The rest is proportional to people, for
+# pictures that are taken where people live, and even, for pictures of one country after the other
+# (benchmarks/results/places.md compares other shares). The average has a share for countries unlike all candidates.
 AVERAGE_SHARE = 0.1
-REASONS = 0.7, 0.15, 0.15  # by vehicles, by people, evenly
-REGION = "R_"  # codes of regions, which stand in for their countries that have no row
+REASONS = 0.7, 0.15, 0.15  # weights of the priors: by vehicles, by people, even
+REGION = "R_"  # prefix of the codes of regions, whose fleets stand in for countries without a row
 
 
 def load_fleet(name: str | Path) -> Fleet:
-    """A fleet by country or a part of one (``US``, ``DEU``, ``Schweiz``, ``Texas``; see `countries.country_code`), by a
-    code of the table (``US_pickup``, ``world``), or from a JSON file of one such entry.
+    """A fleet by the name of a country or a part of one (``US``, ``DEU``, ``Schweiz``, ``Texas``; see
+    `countries.country_code`), by a code of the table (``US_pickup``, ``world``), or from a JSON file with one entry.
 
-    A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
-    ``world``, or ``auto``, has the fleets of all countries as candidates, and the world's average, weighed by the
-    vehicles and the people that are there. Inhabitants are those of 2022 (United Nations, World Population Prospects
-    2022), vehicles those in use about then (rounded; `world_source`).
-    Raises UsageError for an unknown name, InputError for a file that is no fleet.
+    A country without a fleet of its own takes a neighbour's or its region's, with a larger uncertainty, and the fleet's
+    name says so. ``world``, or ``auto``, has as candidates the world's average and the fleets of countries, weighted by
+    their vehicles and people. Inhabitants are those of 2022 (United Nations, World Population Prospects 2022), vehicles
+    those in use about then (rounded; `world_source`).
+    Raises UsageError for an unknown name, InputError for a file that is not a fleet.
     """
     if str(name).upper() in OF_ANY_COUNTRY:
         average, vehicles = _row(WORLD), _document()["world"]
@@ -66,7 +67,7 @@ def read_fleet(path: Path) -> Fleet:
 
 
 def local_fleet(known: Calibration | None) -> Fleet | None:
-    """The vehicles of the place that a calibration was measured at, None where it does not tell."""
+    """The fleet at the place where a calibration was measured, None where the calibration does not have it."""
     if known is None or known.fleet_entry is None:
         return None
     return Fleet.from_entry("local", known.fleet_entry, _document()["segments"])
@@ -78,7 +79,7 @@ def fleet_codes() -> list[str]:
 
 
 def _of_country(text: str) -> Fleet:
-    """The fleet of a country by any of its names; raises UsageError with the nearest ones for no country's."""
+    """The fleet of a country by any of its names; raises UsageError with similar names for an unknown one."""
     from .countries import country_code, country_name, namesake
 
     code = country_code(text)
@@ -92,7 +93,8 @@ def _of_country(text: str) -> Fleet:
         raise _unknown(text)
     stand_in = _document()["fallback"][code]
     fleet = _row(stand_in)
-    # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
+    # A neighbour's fleet is another country's, so it is less certain. A region's figures already include the spread
+    # between its countries.
     more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
     name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
     if state := namesake(code):
@@ -101,7 +103,7 @@ def _of_country(text: str) -> Fleet:
 
 
 def _has_fleet(code: str) -> bool:
-    """Whether there is a fleet of the country, or the part of one, with that code."""
+    """Whether there is a fleet for the country, or part of one, with that code."""
     return code in fleet_codes() or code in _document()["parts"] or code in _document()["fallback"]
 
 
@@ -128,7 +130,7 @@ def _row(code: str) -> Fleet:
 
 
 def _part(code: str) -> Fleet:
-    """The fleet of a part of a country, where one class has another share than in all of it."""
+    """The fleet of a part of a country, in which one class has another share than in the whole country."""
     part, source = _document()["parts"][code], _document()["parts_source"]
     country = _row(part["of"])
     own = np.array([c.weight if c.name == part["class"] else 0.0 for c in country.classes])
@@ -149,7 +151,7 @@ def _part(code: str) -> Fleet:
 
 
 def _with_three_wheelers(fleet: Fleet) -> Fleet:
-    """The same with as many three-wheelers as its country has beside its cars."""
+    """`fleet` with its country's share of three-wheelers; they are modelled apart from its classes."""
     table = _document()["three_wheelers"]
     share = table["shares"].get(fleet.country, 0.0)
     return replace(fleet, three_wheelers=class_of(table, share) if share else None)

@@ -1,6 +1,6 @@
-"""What an option is, and how the value that a user gives it is checked: options are the fields of requests.
+"""What an option is, and how the value that a user gives for it is checked. Options are the fields of requests.
 
-The command line makes its options of them, Python its keywords; messages call both by the command line's name.
+They become the options of the command line and the keywords in Python; messages always use the command line's name.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options i
 
 @dataclass(frozen=True)
 class Option:
-    """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
+    """kind : type of a value: Path, str, float, int or bool. help : text for --help. group : heading in --help, of
+    GROUPS.
 
-    choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
-    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at least 0.
-    is_file : whether a text names a file; a Path always does.
+    choices : the allowed values; empty if any is. flag : its name on the command line, if not made from the field's.
+    metavar : placeholder of the value in the help. positive : whether a number must be above 0. not_negative : whether
+    it must be 0 or more. is_file : whether a text names a file; a Path always does.
     """
 
     kind: type
@@ -39,13 +40,13 @@ class Option:
 
 
 def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
-    """A field of a request."""
+    """A field of a request, with its `Option` as metadata; for arguments see there."""
     return field(default=default, metadata={"option": Option(kind, help, group, **more)})
 
 
 def flag(of: Field) -> str:
-    """What the command line, and every error, calls the field `of` a request: a switch by what turns it from its
-    default, such as --no-cache."""
+    """The name of the field `of` a request on the command line and in every error. A switch that is on by default is
+    named by what turns it off, such as --no-cache."""
     named: str = of.metadata["option"].flag
     return named or "--" + of.name.replace("_", "-")
 
@@ -56,7 +57,7 @@ def names_file(of: Field, value: Any) -> bool:
     return value is not None and (about.kind is Path or about.is_file(str(value)))
 
 
-_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # the types that each kind of option accepts, and their name
     Path: ((str, Path), "a path"),
     str: ((str, Path), "a text"),
     float: ((int, float), "a number"),
@@ -66,7 +67,7 @@ _KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option
 
 
 def checked(of: Field, value: Any) -> Any:
-    """`value` for the field `of` a request, lists as tuples. Raises UsageError for one that it cannot have."""
+    """`value` as the field `of` a request stores it, lists as tuples. Raises UsageError for an invalid value."""
     about: Option = of.metadata["option"]
     if value is None and of.default is None:
         return None
@@ -76,16 +77,16 @@ def checked(of: Field, value: Any) -> Any:
 
 
 def listed(name: str, value: Any) -> Sequence[Any]:
-    """`value` of the option `name`, which takes several. Raises UsageError for a text, which is one."""
+    """`value` of the option `name`, which takes a list. Raises UsageError for anything else, such as a single text."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
         raise UsageError(f"{name} takes a list of values, not {shown(repr(value))}")
     return value
 
 
 def number(name: str, value: Any, kind: type = float) -> Any:
-    """`value` of the option `name` as one of Python's own numbers, for one of numpy's, too; whole ones stay whole.
+    """`value` of the option `name` as a Python number, also if it is one of numpy's; integers stay integers.
 
-    kind : float, or int where it must be whole. Raises UsageError for what is none.
+    kind : float, or int if it must be an integer. Raises UsageError for anything else.
     """
     if not isinstance(value, bool):
         if isinstance(value, numbers.Integral):
@@ -111,6 +112,6 @@ def _check(name: str, about: Option, value: Any) -> Any:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A sentence that says what `name` may have meant, or ''."""
+    """A sentence with the name, of those `known`, that `name` may have been meant to be; or ''."""
     near = difflib.get_close_matches(str(name), list(known), 1)
     return f"Did you mean {near[0]!r}?" if near else ""

@@ -1,7 +1,8 @@
-"""A fleet from a register: how many vehicles of each model there are, and how large each model is.
+"""A fleet from a register of vehicles: how many there are of each model, and how large each model is.
 
-Sizes are those of ``data/models.json``: about 680 generations of models. A register names a model, seldom its
-generation, so a model has the mean of its generations, and their spread is not known better for many vehicles.
+Sizes are those of ``data/models.json``: about 680 generations of models. A register names a model, but seldom its
+generation. So a model has the mean size of its generations, with their spread as an error that does not average out
+over many vehicles.
 """
 
 from __future__ import annotations
@@ -21,30 +22,31 @@ from .core.market_segments import AXES
 from .errors import InputError, TooLittleEvidence, shown
 from .formats.reading import read_plain, read_table, refuse_repeated
 
-HEADINGS = {  # names of columns, in plain letters
+HEADINGS = {  # names that a column may have, in lower case without accents
     "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
     "model": ("model", "modell", "modelo", "modele", "modello", "type", "typ", "handelsbenaming", "name", "vehicle"),
     "count": ("count", "number", "anzahl", "nombre", "cantidad", "numero", "aantal", "vehicles", "units", "total", "n"),
 }
 HINT = "Expected a table with a header and the columns model and count (and make), separated by commas, ; or tabs."
-# Thousands may be set apart by a point, a comma, an apostrophe or a space, and a table program may add ",0".
+# Thousands may be separated by a point, a comma, an apostrophe, an underscore or a space; a spreadsheet may add ",0".
 WHOLE_COUNT = re.compile(r"(?P<figures>\d{1,3}(?:[.,' _\u00a0\u202f]\d{3})+|\d+)(?:[.,]0{1,2})?")
 CLASS_WORDS = {"klasse": "class", "classe": "class", "clase": "class"}  # Mercedes' C-Klasse
 LEAST_KNOWN = 0.6  # share of the vehicles whose model must be in the table
-# Within one model, between its versions [m]; and errors that all published sizes share [m]: as in the fleet table.
+# Standard deviation between the versions of one model [m]; and of errors common to all published sizes [m]. Length,
+# width and height; as in the fleet table.
 VERSIONS = np.array([0.04, 0.015, 0.025])
 COMMON = np.array([0.025, 0.012, 0.015])
 CORRELATION = 0.6  # of length and width within a class; that of the fleet table's segments
-# What follows a model's name in the table for its generation, market or body: Golf5, Corolla E120, Camry old, HR-V TW.
+# Words after a model's name in the table that give its generation, market or body: Corolla E120, Camry old, HR-V TW.
 GENERATION = re.compile(r"old|new|mid|mx|us|kr|tw|th|tn|nz|eg|ec|ar|br|pk|in|hb|sd|i{1,3}|iv|mk\d|[a-z]\d{1,3}|v8|\d")
-BODY_WORDS = {"kombi", "combi"}  # estates, and a van's name where nothing else is named
-SERIES = {"cx", "grand", "id", "mark", "model"}  # name no model without what follows: CX-5, Grand i10, ID.4, Model 3
+BODY_WORDS = {"kombi", "combi"}  # mean an estate, or a model of van if no other model is named
+SERIES = {"cx", "grand", "id", "mark", "model"}  # not a model without the next word: CX-5, Grand i10, ID.4, Model 3
 
 
 @dataclass(frozen=True)
 class Registered:
-    """entry : a fleet as in a fleet file. vehicles : in the register. known : share of them whose model is known.
-    unknown : the other models with their shares, the commonest first."""
+    """entry : the fleet, as in a fleet file. vehicles : number in the register. known : share of them whose model is in
+    the table of models. unknown : the other models with their shares, the most common first."""
 
     entry: dict[str, Any]
     vehicles: float
@@ -54,8 +56,8 @@ class Registered:
 
 @dataclass(frozen=True)
 class Model:
-    """class_ : of the market. size, spread : (3,) mean and standard deviation over its generations [m].
-    makes : that sell it, in plain letters; empty where the table names none."""
+    """class_ : its market segment. size, spread : (3,) mean and standard deviation over its generations [m].
+    makes : those that sell it, in lower-case ASCII; empty where the table names none."""
 
     class_: str
     size: np.ndarray
@@ -64,9 +66,9 @@ class Model:
 
 
 def fleet_of_register(path: Path) -> Registered:
-    """The fleet that the register at `path`, a CSV file, counts.
+    """The fleet in the register at `path`, a CSV file.
 
-    Raises InputError for what is no such table, TooLittleEvidence where fewer than LEAST_KNOWN of the vehicles are of
+    Raises InputError if it is not such a table, TooLittleEvidence if less than LEAST_KNOWN of the vehicles are of
     models whose size is known.
     """
     counted = _counted(path)
@@ -85,7 +87,8 @@ def fleet_of_register(path: Path) -> Registered:
     models, weight = [m for m, _ in pairs], np.array([c for _, c in pairs])
     mean, sd = _moments(models, weight)
     generations = np.average([m.spread for m in models], axis=0, weights=weight)
-    # Vehicles of unknown models may be as different as two known ones; a register's are older or newer together.
+    # The vehicles of unknown models may differ from the mean as one known model does. All of a register may be of older
+    # or of newer generations, so the spread over generations does not average out.
     mean_sd = np.sqrt(COMMON**2 + generations**2 + ((1 - known) * sd) ** 2 + sd**2 / weight.sum())
     mixture = []
     for name in sorted({m.class_ for m in models}):
@@ -105,9 +108,10 @@ def fleet_of_register(path: Path) -> Registered:
 
 
 def model_called(text: str) -> Model | None:
-    """The model that a register's `text` names, with or without its make and version: that of the table with the
-    longest name in it, and of the make that `text` names beside it where the table has that make. None where there is
-    none."""
+    """The model that a register's `text` names, with or without its make and version; None if it is not in the table.
+
+    Of the names of models in `text` the longest counts. If `text` also names a make that is in the table, the model
+    must be of that make."""
     words, makes = _words(text), _makes()
     found = []
     for start in range(len(words)):
@@ -118,7 +122,7 @@ def model_called(text: str) -> Model | None:
                 continue
             after = "".join(words[end : end + 1])
             if len(makes.get(name, ())) > 1 and not said and after[:1].isalpha() and not GENERATION.fullmatch(after):
-                continue  # here a make, whose model follows: Chevy Cavalier
+                continue  # a make here, and its model follows: Chevy Cavalier
             found.append(name)
     if not found:
         return None
@@ -156,7 +160,7 @@ def _counted(path: Path) -> dict[str, float]:
 
 @cache
 def _models() -> dict[str, Model]:
-    """By the name's words without their spaces, for a register writes CR-V, CRV or CR V."""
+    """Models by name, as its words joined without spaces, since a register writes CR-V, CRV or CR V."""
     generations: dict[str, list[Sequence[Any]]] = {}
     makes: dict[str, set[str]] = {}
     for name, row in _table()["models"].items():
@@ -173,7 +177,7 @@ def _models() -> dict[str, Model]:
 
 @cache
 def _makes() -> dict[str, set[str]]:
-    """By the make's name, models without their generations; both in plain letters."""
+    """Models, without their generations, by make; all in lower-case ASCII."""
     return {"".join(_words(make)): set(models) for makes, models in _table()["makes"] for make in makes}
 
 
@@ -184,7 +188,8 @@ def _table() -> dict[str, Any]:
 
 
 def _without_generation(name: str) -> str:
-    """In plain letters; whole where a make, a series or a letter alone would be left: Mazda2, CX-5, E W210."""
+    """The `name` of a model without its generation, as joined words: Golf5 is golf. It stays whole if only a make, a
+    series or a letter would be left: Mazda2, CX-5, E W210."""
     first, *rest = words = _words(name)
     while rest and GENERATION.fullmatch(rest[-1]):
         rest.pop()
@@ -197,7 +202,7 @@ def _without_generation(name: str) -> str:
 def _words(text: str) -> list[str]:
     bare = (c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
     words = re.findall(r"[a-z0-9]+", "".join(bare))
-    return [CLASS_WORDS.get(word, re.sub(r"^(\d)er$", r"\1", word)) for word in words]  # BMW's 3er is its 3 series
+    return [CLASS_WORDS.get(word, re.sub(r"^(\d)er$", r"\1", word)) for word in words]  # BMW's 3er is the 3 series
 
 
 def _moments(models: Sequence[Model], weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

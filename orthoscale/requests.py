@@ -1,6 +1,6 @@
 """Every option that a user can give, defined once: its default, choices, help, and the options that it excludes.
 
-A request is validated when it is created: an unknown option, or one that would have no effect, is refused and never
+A request is validated when it is created: an unknown option, or one that would have no effect, is an error and never
 ignored.
 """
 
@@ -27,8 +27,8 @@ ESTIMATORS = ("robust", "iqr")
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 KINDS_OF_DEPTH = ("z", "range")
-BUILT_IN, NOTHING = "built-in", "none"  # what options that take a file take instead
-BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
+BUILT_IN, NOTHING = "built-in", "none"  # words that some options accept instead of a file
+BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # kinds of anchors that boxes can show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
 
@@ -41,8 +41,8 @@ def _is_no_word(text: str) -> bool:
 
 
 def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> str:
-    """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults, after the way
-    to the `folder` that its relative names start from."""
+    """The command line that repeats an estimate of `path` with the `settings` of its report that differ from the
+    defaults. folder : the one that relative paths start from, entered with `cd` first; '' for none."""
     words = ["orthoscale", "estimate", path]
     for each in fields(EstimateRequest):
         value = settings.get(each.name)
@@ -59,7 +59,7 @@ def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> st
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleRequest:
-    """Of which fleet the vehicles are, and where their boxes come from; shared by all that measure."""
+    """The options on the fleet and on where the boxes come from; common to all requests that measure vehicles."""
 
     fleet: str | Path | None = option(
         None,
@@ -124,7 +124,7 @@ class VehicleRequest:
         return found
 
     def with_absolute_paths(self) -> Self:
-        """The same, for a process in another folder."""
+        """The same with absolute paths, for a process in another folder."""
 
         def absolute(of: Field, value: Any) -> Any:
             if isinstance(value, tuple):
@@ -135,18 +135,18 @@ class VehicleRequest:
 
     @property
     def of_detector(self) -> Iterable[str]:
-        """Names of the options that say how to look for vehicles, and do nothing where nobody looks."""
+        """Names of the options of detection, which have no effect where no detector runs."""
         return ("detector", "decoder", "zoom", "gsd_hint")
 
     def _refuse(self, names: Iterable[str], why: str) -> None:
-        """Raise UsageError where one of the options `names` says something."""
+        """Raise UsageError if one of the options `names` is not at its default. why : the reason, for the message."""
         for each in fields(self):
             if each.name in names and getattr(self, each.name) != each.default:
                 raise UsageError(f"{flag(each)} does nothing here: {why}", f"Remove {flag(each)}.")
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> Self:
-        """The request that `keywords` make. Raises UsageError, which names what a misspelt one may mean."""
+        """The request with the options `keywords`. Raises UsageError; for a misspelt name it suggests the right one."""
         known = [each.name for each in fields(cls)]
         for name in keywords:
             if name not in known:
@@ -154,16 +154,16 @@ class VehicleRequest:
         return cls(**keywords)
 
     def refuse_others(self, names: Collection[str], why: str) -> None:
-        """Raise UsageError where an option that is none of `names` says something: `why` it does nothing."""
+        """Raise UsageError if an option other than `names` is not at its default. why : the reason, for the message."""
         self._refuse([each.name for each in fields(self) if each.name not in names], why)
 
     def without(self, names: Iterable[str], **other: Any) -> Self:
-        """The same with the options `names` at their defaults, and `other` ones as they are named."""
+        """The same with the options `names` at their defaults, and the `other` options at the given values."""
         changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
         return replace(self, **changed | other)
 
     def settings(self) -> dict[str, Any]:
-        """The options that are not at their defaults, as values that JSON knows: with them it is done again."""
+        """The options that are not at their defaults, as JSON values; the request can be repeated with them."""
         every = ((each, getattr(self, each.name)) for each in fields(self))
         said = {each.name: value for each, value in every if value != each.default}
         return {name: str(value) if isinstance(value, Path) else value for name, value in said.items()}
@@ -171,7 +171,7 @@ class VehicleRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoRequest(VehicleRequest):
-    """What single photos may be asked for: beside the altitude by vehicles, that by a depth network."""
+    """The options for single photos: the altitude by vehicles, and by a depth network to compare with."""
 
     depth: str | Path | None = option(
         None,
@@ -200,7 +200,7 @@ class PhotoRequest(VehicleRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateRequest(VehicleRequest):
-    """What `estimate` may be asked for; see its fields' help. Raises UsageError when made of what makes no sense."""
+    """The options of `estimate`; see the help of each field. Raises UsageError for values that make no sense."""
 
     images: str | Path | None = option(None, Path, "Input", "Folder with the model's frames.")
     ground_cloud: str | Path | None = option(
@@ -342,7 +342,7 @@ class EstimateRequest(VehicleRequest):
                     "Remove known distances and ground control, or use --estimator robust.",
                 )
         if not self.anchors:
-            object.__setattr__(self, "anchors", (NO_KIND,))  # as the command line says it
+            object.__setattr__(self, "anchors", (NO_KIND,))  # as on the command line
         if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
@@ -350,7 +350,7 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def measures(self) -> str | None:
-        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
+        """BUILT_IN, or the file of the network that measures vehicles again; None for no such network."""
         if self.measurer is None:
             own = self.detections is None and self.detector is None and self.calibration is None
             return BUILT_IN if own else None
@@ -358,8 +358,8 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def wanted_mode(self) -> str | None:
-        """The mode in which a model is measured, None for all that there is evidence for: a projection is one of
-        frames, so these alone are measured by it unless `mode` says more."""
+        """The mode in which a model is measured, None for every mode that has enough evidence. A projection applies to
+        frames, so `projection` without `mode` means that frames alone are measured."""
         return "oblique" if self.mode is None and self.projection is not None else self.mode
 
     @property
@@ -369,31 +369,31 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def vehicles_only(self) -> bool:
-        """Whether nothing but vehicles enters the scale: by the paper's estimator."""
+        """Whether only vehicles enter the scale, as with the paper's estimator."""
         return self.estimator == "iqr"
 
     @property
     def needs_pictures(self) -> bool:
-        """Whether pixels are looked at: for the boxes, or to measure them once more."""
+        """Whether pixels are needed: to detect the boxes, or to measure them again."""
         return self.detections is None or self.measures is not None
 
     @property
     def confirms(self) -> bool:
-        """Whether vehicles in an orthophoto are confirmed by the finder: where they are measured once more, for it
-        measures badly, and the built-in detector proposes them."""
+        """Whether the finder confirms vehicles in an orthophoto: where the built-in detector proposes them, and they
+        are measured again, because the finder measures badly."""
         return self.measures is not None and self.detector is None and self.detections is None and not self.fast
 
     @property
     def of_detector(self) -> Iterable[str]:
-        """Names of the options that say how to detect, which boxes from a file leave without effect."""
+        """Names of the options of detection, which have no effect on boxes from a file."""
         return (*super().of_detector, *OF_LOOKING)
 
     def check_for(self, source: Source) -> None:
-        """Raise UsageError for what does nothing on such a source."""
+        """Raise UsageError for an option that has no effect on this kind of source."""
         (self._for_plan if source.plan is not None else self._for_posed)(source.path)
 
     def check_for_many(self) -> None:
-        """Raise UsageError for what speaks of one input only."""
+        """Raise UsageError for an option that makes sense for a single input only."""
         self._refuse(("known_distance", "ground_control"), "it is about one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
@@ -415,7 +415,7 @@ OF_LOOKING = ("refine", "fast", "target", "exhaustive", "seed", "workers", "sche
 
 @dataclass(frozen=True, kw_only=True)
 class FixRequest(EstimateRequest):
-    """What `fix` may be asked for: all that `estimate` may, and what to write."""
+    """The options of `fix`: those of `estimate`, and what to write."""
 
     overwrite: bool = option(False, bool, "Output", "Replace what orthoscale wrote at --out before.")
     override: bool = option(False, bool, "Output", "Rescale although INPUT claims to be in metres.")
@@ -448,7 +448,7 @@ class FixRequest(EstimateRequest):
         self._refuse(("keep_origin", "cog", "also"), f"it is for orthophotos, and {path} is a model")
 
     def estimating(self) -> EstimateRequest:
-        """The part that says how to measure."""
+        """The part of the request that says how to measure."""
         return EstimateRequest(**{each.name: getattr(self, each.name) for each in fields(EstimateRequest)})
 
 

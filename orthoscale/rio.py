@@ -12,10 +12,10 @@ from .errors import OrthoscaleError
 
 
 class RioCommands(Commands):
-    """rio knows click's errors only, and would show a traceback of ours."""
+    """Handles orthoscale's own errors: rio knows only click's, and would show a traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; errors end it as they do `orthoscale`, in one sentence and with their exit code."""
+        """Run the command. An error ends it as in `orthoscale`, with a message and its exit code."""
         try:
             return super().invoke(ctx)
         except OrthoscaleError as error:

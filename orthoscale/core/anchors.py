@@ -1,4 +1,4 @@
-"""Anchors, objects of standard size in a picture: the values that describe one, and the scale that follows from it."""
+"""Anchors, objects of standard size in a picture: the types that describe them, and the protocol of their finders."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-SAMPLED = 0.05  # [anchors' reference lengths] between the points of lines that are compared
-BAYS = "parking bays"  # kind of rows of them, whether their lines or the vehicles in them show it
-NEAR_LINES = 0.1  # [anchors' reference lengths] within which two lines are the same; neighbours are farther apart
-SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
+SAMPLED = 0.05  # spacing of the points at which lines are compared [anchors' reference lengths]
+BAYS = "parking bays"  # the kind of rows of bays, whether found by their lines or by the vehicles in them
+NEAR_LINES = 0.1  # distance within which two lines are the same one [reference lengths]; neighbours are farther apart
+SHARED_LINES = 0.5  # share of one anchor's lines that lie on another's from which the two are one object
 
 
 @dataclass(frozen=True)
 class Standard:
-    """A standardised size. name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one
-    sigma of objects built to the standard. prior : how probable it is among those that an anchor can be, beforehand and
-    by the anchor's shape, but for a common factor; no part of what the standard is, so that the anchors of one standard
-    are known as such. countries : ISO codes where it applies, empty for everywhere. source : of the figure.
-    documented : False if the figure was only recalled, or no document says what is built: it then improves no
-    verdict."""
+    """A standardised size. name : of the rule, for people. metres : the anchor's reference length by this rule.
+    relative_sd : one sigma of objects built to the standard. prior : its prior probability among the standards that an
+    anchor may follow, given the anchor's shape, up to a common factor; ignored when standards are compared, so that
+    anchors of one standard are recognised as such. countries : ISO codes where it applies, empty for everywhere.
+    source : of the figure. documented : False if the figure was only recalled, or no document says what is built: it
+    then improves no verdict."""
 
     name: str
     metres: float
@@ -36,24 +36,24 @@ class Standard:
 
 
 def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
-    """Those that name `country`; where none does those of everywhere, and where there are none of these all."""
+    """The `standards` that hold in `country`: those that name it, else those that apply everywhere, else all."""
     own = [standard for standard in standards if country in standard.countries]
     return own or [standard for standard in standards if not standard.countries] or list(standards)
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """One thing of standard size that was found in a picture.
+    """One object of standard size that was found in a picture.
 
-    kind : "tennis court" ..., in words. picture : its name, empty until the search is over.
+    kind : "tennis court" ..., in words. picture : the picture's name, empty until the search is over.
     place : (2,) its middle [px]. lines : (N, 2, 2) the fitted model's lines from end to end [px], to be drawn.
-    pixels : its reference length, one number however the model is turned [px].
-    relative_sd : one sigma of that, from the fit and from how pictures distort; not the standard's own.
-    residual : (M,) how far the measured line points lie from the model, across the lines [px].
-    standards : those that it can be. false : probability that it is none of them at all.
-    count : how many repetitions it rests on (dashes of a lane, bays of a row); 1 for a single thing.
-    unlike : where the country is not known, codes of those whose standards it is known not to follow. Then it tells the
-        country, and is no measure.
+    pixels : its reference length, independent of the model's orientation [px].
+    relative_sd : one sigma of that, from the fit and from how pictures distort; without the standard's own.
+    residual : (M,) distances of the measured line points from the model, across the lines [px].
+    standards : those that it may follow. false : probability that it follows none of them.
+    count : number of repetitions that it rests on (dashes of a lane, bays of a row); 1 for a single object.
+    unlike : where the country is not known, codes of the countries whose standards it does not fit. The anchor is then
+        evidence on the country, and not on the scale.
     Pixel coordinates: x right, y down, (0, 0) is the upper left corner of the upper left pixel.
     """
 
@@ -70,7 +70,7 @@ class Anchor:
     picture: str = field(default="", kw_only=True)
 
     def metres_per_pixel(self) -> np.ndarray:
-        """(S,) the scale that it gives for each of its standards."""
+        """(S,) the scale that it gives under each of its standards."""
         return np.array([standard.metres / self.pixels for standard in self.standards])
 
 
@@ -79,11 +79,11 @@ class AnchorVote:
     """One anchor on the ground of a source, however many pictures show it.
 
     anchor : as its best picture shows it. place : (D,) where it lies, and units : its reference length [source units].
-    relative_sd : one sigma of that length, all pictures together; not the standard's own.
-    shared_sd : one sigma of what all anchors of the source err by alike, and its vehicles do: the height of its ground.
-    kind_sd : one sigma of what all of its kind err by alike, and nothing else does: how high they are.
-    window : how wide a range of sizes was searched, in logarithms: a mistake may lie anywhere in it.
-    views : how many pictures show it.
+    relative_sd : one sigma of that length, from all pictures together; without the standard's own.
+    shared_sd : one sigma of the error common to all anchors and vehicles of the source: the height of its ground.
+    kind_sd : one sigma of the error common to the anchors of this kind alone: how high they lie.
+    window : width of the range of sizes that was searched, in logarithms: a false find may lie anywhere in it.
+    views : number of pictures that show it.
     """
 
     anchor: Anchor
@@ -96,16 +96,16 @@ class AnchorVote:
     views: int = 1
 
     def of(self, standards: tuple[Standard, ...] | None) -> AnchorVote:
-        """The same, of one of these `standards`; itself for None."""
+        """The same vote, which may follow only these `standards`; itself for None."""
         return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards, unlike=()))
 
 
 class AnchorFinder(Protocol):
     """Finds one kind of anchor.
 
-    kind : as in its anchors. standards : all that its anchors may follow. extent : of the largest anchor [m]; windows
-    overlap by so much. finest, coarsest : range of ground sampling distances [m/px] in which it works: a finer picture
-    is first reduced to `finest`, a picture coarser than `coarsest` is not searched.
+    kind : of its anchors. standards : all that its anchors may follow. extent : of the largest anchor [m]; search
+    windows overlap by that much. finest, coarsest : range of ground sampling distances [m/px] in which it works: a
+    finer picture is first reduced to `finest`; a picture coarser than `coarsest` is not searched.
     """
 
     @property
@@ -123,17 +123,17 @@ class AnchorFinder(Protocol):
         """The anchors in `image`, RGB uint8 (H, W, 3), of roughly `gsd` m/px with a relative one-sigma of `gsd_sd`
         (sizes within two sigma are searched). `country` is an ISO code of two letters, empty where it is not known.
 
-        Coordinates are those of `image` with whole numbers in the middles of pixels, as OpenCV has them; the search
-        turns them into those of `Anchor`. Never raises for a picture, however odd.
+        Coordinates are those of `image` in OpenCV's convention, with whole numbers at pixel centres; the search turns
+        them into those of `Anchor`. Never raises for a picture, however odd.
         """
         ...
 
 
 def alike(lines: Sequence[np.ndarray], size: Sequence[float], blur: float = 0.0) -> np.ndarray:
-    """(N,) numbers that are the same for anchors of one kind that are one thing: their lines lie on one another.
+    """(N,) labels of anchors of one kind; anchors whose lines coincide are the same object and have the same label.
 
-    lines : of each, (L, 2, D) from end to end. size : its reference length, and blur : how far the same line may lie
-    from itself in another picture, in the same units.
+    lines : of each anchor, (L, 2, D) from end to end. size : each one's reference length. blur : how far apart the same
+    line may come out in two pictures. All in the same units.
     """
     number = np.arange(len(lines))
     if len(lines) < 2:

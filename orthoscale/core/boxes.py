@@ -8,10 +8,10 @@ from itertools import chain
 
 import numpy as np
 
-SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
-HEAPED = 250  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
-PAIRS = 2**15  # of boxes whose overlap is computed at once, in some 50 MB
-KINDS = ("car", "pickup", "van", "larger")  # of vehicles: what carries people, an open bed, a van or minibus, the rest
+SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehicle's; side by side they share nothing
+HEAPED = 250  # mean number of neighbours per box from which the boxes cannot be vehicles; closely packed ones have 30
+PAIRS = 2**15  # pairs of boxes whose overlap is computed at once, in some 50 MB
+KINDS = ("car", "pickup", "van", "larger")  # of vehicles: for passengers, with an open bed, a van or minibus, the rest
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Boxes:
         (0.5, 0.5), as in COLMAP and GDAL. The angle is that of the long side from +x, clockwise on screen,
         in [-pi/2, pi/2).
     score : (N,) float64, the detector's confidence in 0..1.
-    sigma : (N, 2) float64, relative one-sigma noise of each box's own length and width, NaN where it is the ruler's.
-    kinds : (N, 4) float64, how probably it is each of `KINDS`, NaN where nobody looked.
+    sigma : (N, 2) float64, relative one-sigma noise of each box's own length and width, NaN where the ruler's holds.
+    kinds : (N, 4) float64, probability of each of `KINDS`, NaN where it was not assessed.
     """
 
     xylwa: np.ndarray
@@ -59,7 +59,7 @@ class Boxes:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
-        """All boxes of `parts`, in their order; none of no parts."""
+        """All boxes of `parts`, in their order; no boxes if there are no parts."""
         if not parts:
             return cls.empty()
         return cls(*(np.concatenate([getattr(p, each.name) for p in parts]) for each in fields(cls)))
@@ -92,7 +92,7 @@ class Boxes:
 
     @property
     def corners(self) -> np.ndarray:
-        """(N, 4, 2) [px], in the order front right, rear right, rear left, front left of the long side's direction."""
+        """(N, 4, 2) [px]: front right, rear right, rear left, front left, if the angle's direction is forward."""
         along = np.stack([np.cos(self.angle), np.sin(self.angle)], -1) * self.length[:, None] / 2
         across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
         c = self.centre
@@ -129,7 +129,7 @@ class Boxes:
 
 
 def _known(values: np.ndarray | None, name: str, rows: int, columns: int) -> np.ndarray:
-    """`values` (rows, columns), NaN where there are none. Raises ValueError for those of another shape."""
+    """`values` as (rows, columns), all NaN if they are None. Raises ValueError for another shape."""
     known = np.full((rows, columns), np.nan) if values is None else np.array(values, np.float64)
     if known.shape != (rows, columns):
         raise ValueError(f"{rows} boxes but {name} of shape {known.shape}")
@@ -139,15 +139,15 @@ def _known(values: np.ndarray | None, name: str, rows: int, columns: int) -> np.
 def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Exact intersection over union of paired boxes, (K, 5) and (K, 5) to (K,).
 
-    Each rectangle of `a`, seen in the frame of its partner in `b`, is clipped by the partner's four sides
-    (Sutherland and Hodgman 1974) and the rest's area taken, many pairs at once.
+    Each rectangle of `a`, in the coordinate frame of its partner in `b`, is clipped by the partner's four sides
+    (Sutherland and Hodgman 1974), and the area of what is left is computed, for many pairs at once.
     """
     blocks = range(0, max(len(a), 1), PAIRS)
     return np.concatenate([_overlap(a[k : k + PAIRS], b[k : k + PAIRS]) for k in blocks])
 
 
 def _overlap_from(a: np.ndarray, b: np.ndarray, iou: float) -> np.ndarray:
-    """`overlap` of pairs that may share `iou` (> 0) or more; 0 for those that surely do not, which are most of them."""
+    """`overlap` of pairs that may overlap by `iou` (> 0) or more; 0 for those that surely do not, which are most."""
     out = np.zeros(len(a))
     may = np.flatnonzero(_most_shared(a, b) >= (1 - 1e-9) * iou / (1 + iou) * (a[:, 2] * a[:, 3] + b[:, 2] * b[:, 3]))
     out[may] = overlap(a[may], b[may])
@@ -155,8 +155,8 @@ def _overlap_from(a: np.ndarray, b: np.ndarray, iou: float) -> np.ndarray:
 
 
 def _most_shared(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(K,) upper bound of the area that paired boxes share, cheap: of the smaller box, and of what the extents of one
-    along the sides of the other leave of that."""
+    """(K,) cheap upper bound of the area that paired boxes share: the area of the smaller box, or that of the rectangle
+    in which their extents along the sides of either box overlap, whichever is least."""
     most = np.minimum(a[:, 2] * a[:, 3], b[:, 2] * b[:, 3])
     x, y = (b[:, :2] - a[:, :2]).T
     turn = b[:, 4] - a[:, 4]
@@ -189,7 +189,7 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _following(polygon: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Each vertex's successor around its own polygon of `count` vertices; (K, V, 2)."""
+    """(K, V, 2) the vertex that follows each vertex around its own polygon of `count` vertices."""
     index = np.arange(polygon.shape[1])[None] + 1
     index = np.where(index >= np.maximum(count, 1)[:, None], 0, index)
     return np.take_along_axis(polygon, index[..., None], 1)
@@ -207,7 +207,7 @@ def _clip(
     cut = ((room >= 0) != (next_room >= 0)) & valid
     t = np.where(cut, room / np.where(cut, room - next_room, 1.0), 0.0)
     crossing = polygon + t[..., None] * (following - polygon)
-    # Every vertex gives up to two new ones, itself and the crossing behind it; packed to the front by a stable sort.
+    # Every vertex gives up to two new ones, itself and the crossing after it; a stable sort packs them to the front.
     candidates = np.stack([polygon, crossing], 2).reshape(k, 2 * v, 2)
     chosen = np.stack([keep, cut], 2).reshape(k, 2 * v)
     new_count = chosen.sum(1)
@@ -216,7 +216,7 @@ def _clip(
 
 
 class _Neighbours:
-    """Boxes (N, 5) that others may touch, found by their circumscribed circles.
+    """An index of boxes (N, 5) that finds which of them other boxes may touch, by their circumscribed circles.
 
     They are sorted into one tree per octave of size, so that one long box does not make neighbours of all the others.
     """
@@ -230,7 +230,7 @@ class _Neighbours:
         self._trees = [(group, cKDTree(self._centre[group]), self._reach[group].max()) for group in groups]
 
     def count(self, xylwa: np.ndarray) -> np.ndarray:
-        """(M,) how many of them each of boxes (M, 5) may touch, at most."""
+        """(M,) upper bound of the number of indexed boxes that each of other boxes (M, 5) may touch."""
         centre, reach = xylwa[:, :2], _reach(xylwa)
         count = np.zeros(len(centre), int)
         for _, tree, longest in self._trees:
@@ -238,7 +238,7 @@ class _Neighbours:
         return count
 
     def pairs(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs (i, j) of boxes (M, 5) and those that they may touch, by i and then j."""
+        """Pairs (i, j) of other boxes (M, 5) and the indexed boxes that they may touch, sorted by i and then j."""
         centre, reach = xylwa[:, :2], _reach(xylwa)
         parts = [(np.empty(0, int), np.empty(0, int))]
         for group, tree, longest in self._trees:
@@ -254,17 +254,18 @@ class _Neighbours:
 
 
 def _so_many(count: np.ndarray) -> int:
-    """Of how many boxes, each with `count` neighbours, the pairs are computed at once: PAIRS or fewer, or one box's."""
+    """How many of the boxes, each with `count` neighbours, to process at once: for PAIRS pairs or fewer, but at least
+    one box."""
     return max(1, int(np.searchsorted(np.cumsum(count[:PAIRS]), PAIRS)))
 
 
 def _reach(xylwa: np.ndarray) -> np.ndarray:
-    """(N,) radius of the circles around boxes."""
+    """(N,) radii of the boxes' circumscribed circles."""
     return np.hypot(xylwa[:, 2], xylwa[:, 3]) / 2
 
 
 def overlapping(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All pairs (i, j, overlap) of boxes of one image that overlap by `iou` (> 0) or more, by i and then j."""
+    """All pairs (i, j, overlap) of boxes of one image that overlap by `iou` (> 0) or more, sorted by i and then j."""
     neighbours = _Neighbours(b.xylwa)
     count = neighbours.count(a.xylwa)
     start, parts = 0, [(np.empty(0, int), np.empty(0, int), np.empty(0))]
@@ -280,7 +281,8 @@ def overlapping(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray,
 
 
 def matched(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One-to-one matches (i, j, overlap) between two sets of boxes of one image, best overlap first, above `iou`."""
+    """One-to-one matches (i, j, overlap) between two sets of boxes of one image that overlap by `iou` or more, best
+    first."""
     i, j, o = overlapping(a, b, iou)
     free_a, free_b = np.ones(len(a), bool), np.ones(len(b), bool)
     taken: list[int] = []
@@ -310,7 +312,7 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
         i, j = i[worse], j[worse]
         clash = _overlap_from(boxes.xylwa[i], boxes.xylwa[j], iou) >= iou
         better, first = np.unique(i[clash], return_index=True)
-        # Of no pairs, split makes one part.
+        # Without any pair, np.split still returns one part.
         for k, rivals in zip(better.tolist(), np.split(j[clash], first[1:]), strict=False):
             if alive[k]:
                 alive[rivals] = False
@@ -320,13 +322,13 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
 
 
 def distinct(boxes: Boxes) -> Boxes:
-    """`boxes` without further boxes of one vehicle, by falling score where any are left out.
+    """`boxes` with one box per vehicle; sorted by falling score if any were dropped.
 
-    Two that share SAME_VEHICLE of their area are one vehicle's; detectors that suppress nothing and files that were
-    joined hold such. Raises ValueError for boxes heaped up as no vehicles are.
+    Two boxes that overlap by SAME_VEHICLE are of one vehicle. Detectors without non-maximum suppression and merged
+    files contain such duplicates. Raises ValueError for more boxes on one another than vehicles can give.
     """
     ordered = boxes[np.argsort(-boxes.score, kind="stable")]
-    _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
+    _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # exact copies may be thousands
     ordered = ordered[np.sort(first)]
     if _Neighbours(ordered.xylwa).count(ordered.xylwa).sum() > HEAPED * len(ordered):
         raise ValueError(f"{len(ordered)} boxes overlap almost entirely")

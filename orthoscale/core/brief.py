@@ -1,4 +1,4 @@
-"""The short form of a result when it is printed: a few labelled lines, as text and in a notebook."""
+"""The short form in which a result is printed: a few labelled lines, as text and in a notebook."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from html import escape
 
 
 class Brief:
-    """What has a `brief`, which `print` and notebooks show."""
+    """Base of results that `print` and notebooks show by their `brief`."""
 
     def brief(self) -> list[tuple[str, str]]:
-        """Labels and texts, the answer first, fewer than ten."""
+        """Fewer than ten pairs of label and text, the answer first."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

@@ -1,8 +1,8 @@
 """A detector's margin from an orthophoto of known scale: the pixels by which its boxes exceed vehicles.
 
-At resampling factor k a box measures ``S + c x_k`` metres: the vehicle, and a margin of c detector pixels, each x_k
-metres on the ground. The same vehicles at several factors separate S from c to some extent; the priors of the fleet (S)
-and of the detector (c) do the rest. All of it is one least-squares problem per axis.
+At resampling factor k a box measures ``S + c x_k`` metres: the vehicle, and a margin of c detector pixels of x_k metres
+each. The same vehicles at several factors separate S from c to some extent; the priors of the fleet (S) and of the
+detector (c) do the rest. All of it is one least-squares problem per axis.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from .pooling.posterior import ROBUST_SD
 from .ruler import Ruler
 
 ISO_CODE = re.compile("[A-Z]{2}")
-LEAST_SPREAD = 0.5  # of the country's, of the vehicles of a place: noise is known too badly to say that they are alike
+LEAST_SPREAD = 0.5  # least spread of a place's vehicles, relative to the country's: box noise is not known well enough
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A detector's ruler as measured at one place, and that place's vehicles where asked for.
+    """A detector's ruler as measured at one place and, on request, the sizes of that place's vehicles.
 
-    fleet_entry : that place's vehicles as in a fleet file (`Fleet.from_entry`), None where they were not fitted.
+    fleet_entry : that place's vehicles as in a fleet file (`Fleet.from_entry`), None if they were not fitted.
     made_from : the orthophoto, its scale, fleet and counts, for people.
     """
 
@@ -41,8 +41,8 @@ class Calibration:
     made_from: Mapping[str, Any]
 
     def applied(self, found: Detections, path: Path) -> Detections:
-        """`found` with this ruler. Raises UsageError when other boxes than this detector's were found; `path` is the
-        calibration's own, for the message."""
+        """`found` with this ruler. Raises UsageError if the boxes are another detector's; the message names `path`, the
+        calibration's file."""
         if found.detector_sha256 != self.detector_sha256:
             raise UsageError(
                 f"{path} was measured for {self.detector}, but these boxes are those of {found.detector}",
@@ -56,7 +56,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class MarginFit:
-    """size, margin : the vehicles' mean size [m] and the boxes' margin [detector px]; `_sd` their one sigma each."""
+    """size : the vehicles' mean size [m]. margin : of the boxes [detector px]. `_sd` : one sigma of each."""
 
     size: float
     size_sd: float
@@ -71,11 +71,11 @@ def fit_margin(
     fleet: tuple[float, float],
     margin: tuple[float, float],
 ) -> MarginFit:
-    """Vehicles' mean size and the boxes' margin, along one axis.
+    """The vehicles' mean size and the boxes' margin, along one axis.
 
     size : (K,) mean box size at each zoom [m], margin included. pixel : (K,) one detector pixel [m].
-    size_sd : (K,) what each zoom's boxes may be off by on their own [m]. fleet : (mean, one sigma) of the vehicles'
-    mean size [m] beforehand. margin : (value, one sigma) beforehand [detector px].
+    size_sd : (K,) one sigma of each zoom's error, independent of the other zooms [m]. fleet : prior (mean, one sigma)
+    of the vehicles' mean size [m]. margin : prior (value, one sigma) [detector px].
     """
     design = np.vstack([np.column_stack([np.ones(len(size)), pixel]), np.eye(2)])
     observed = np.concatenate([size, [fleet[0], margin[0]]])
@@ -83,7 +83,7 @@ def fit_margin(
     covariance = np.linalg.inv((design / sd[:, None] ** 2).T @ design)
     estimate = covariance @ design.T @ (observed / sd**2)
     residual = (observed - design @ estimate) / sd
-    # Where zooms, fleet and detector contradict each other, all know less than they claim (Birge 1932).
+    # Where zooms, fleet and detector contradict each other, all sigmas are enlarged by the Birge ratio (1932).
     surprise = max(1.0, float(residual @ residual) / len(size))
     size_var, margin_var = surprise * np.diag(covariance)
     return MarginFit(float(estimate[0]), float(np.sqrt(size_var)), float(estimate[1]), float(np.sqrt(margin_var)))
@@ -92,11 +92,11 @@ def fit_margin(
 def local_fleet_entry(
     size: np.ndarray, noise: np.ndarray, relative_sd: np.ndarray, fleet: Fleet, name: str, source: str
 ) -> dict[str, Any]:
-    """The entry of a fleet of one class whose sizes are those of `size` (N, 2) [m], lengths and widths that were
-    measured with the one-sigma `noise` (2,) [m].
+    """The fleet entry of one class for vehicles of `size` (N, 2) [m], lengths and widths that were measured with the
+    one-sigma `noise` (2,) [m].
 
-    By median and median absolute deviation, which a few larger vehicles do not move. relative_sd : (2,) how well the
-    mean is known. fleet : the country's, which gives the heights, and the spread where the noise hides it.
+    Uses the median and the median absolute deviation, which a few larger vehicles do not move. relative_sd : (2,) of
+    the mean. fleet : the country's; it gives the heights, and the spread where the noise hides it.
     """
     log = np.log(size)
     middle = np.median(log, axis=0)
@@ -107,7 +107,7 @@ def local_fleet_entry(
     sd = [*(mean[:2] * spread), fleet.sd[2]]
     known = [*relative_sd, fleet.mean_sd[2] / fleet.mean[2]]
     covariance = fleet.log_covariance
-    # The place has its country's lane dashes and bays, too.
+    # The country also tells which standards lane dashes and parking bays follow.
     country = {"country": fleet.country} if ISO_CODE.fullmatch(fleet.country) else {}
     return {
         "name": name,

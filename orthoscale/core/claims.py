@@ -12,17 +12,17 @@ from .scale import PER_PIXEL, Scale
 from .source import Source
 from .verdicts import UNUSABLE
 
-NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would leave none
-CLEAR = 3.0  # sigmas from which a disagreement is no chance
-NO_UNIT = "has no unit"  # verdict on a claim that may be of metres, feet or anything: it is never held against an input
+NO_CLOSER = 1e-9  # least relative one sigma of a scale: that of identical boxes would be zero
+CLEAR = 3.0  # sigmas from which a disagreement is not due to chance
+NO_UNIT = "has no unit"  # verdict on a claim in metres, feet or anything else: it is never held against an input
 METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
-# Relative: how near to a metre the unit of a model must be to be worth a word. Those that were aligned with single
-# receivers' positions are metric within some per cent. If arbitrary units are spread evenly over two decades, one model
-# in twenty-three has such a unit by chance. A judgement.
+# A remark is made if the unit of a model differs from a metre by no more than this (log). Models aligned with the
+# positions of a single receiver are metric within some per cent. If arbitrary units are spread evenly over two decades,
+# one model in twenty-three has such a unit by chance. A judgement.
 NEARLY_METRIC = 0.1
 NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
-UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] that such a claim is compared with
-# Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
+UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] units with which a claim without a unit is compared
+# Factors (truth over claim) and the mistakes that cause them. A ratio close to one of them is a hint, no proof.
 UNIT_MISTAKES = (
     (0.3048, "feet were taken for metres"),
     (1 / 0.3048, "metres were taken for feet"),
@@ -43,9 +43,9 @@ class Comparison:
 
     claimed_by : what claims it, for people. claimed, recovered : metres per unit. sd : relative one sigma of the
     recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
-    False if by the claim itself nothing ties it to the ground. why : where the claim comes from. useful : False if the
-    recovered scale is too uncertain to be used, and so to contradict anything: its boxes may be no vehicles. unit_known
-    : False if nothing says of what unit `claimed` is. unit : of both scales.
+    False if nothing in the claim ties it to the ground. why : where the claim comes from. useful : False if the
+    recovered scale is too uncertain to use, and so to contradict anything: its boxes may not be vehicles. unit_known
+    : False if nothing says in what unit `claimed` is. unit : of both scales.
     """
 
     claimed_by: str
@@ -66,13 +66,13 @@ class Comparison:
 
     @property
     def sigmas(self) -> float:
-        """How many one sigmas of the two scales they lie apart."""
+        """How many sigmas the two scales lie apart."""
         return abs(math.log(self.ratio)) / self.sd
 
     @property
     def verdict(self) -> str:
-        """``agrees`` (within the 90 % interval), ``disagrees`` (beyond three sigmas, by a useful scale), else
-        ``doubtful``; NO_UNIT where its unit is not known."""
+        """``agrees`` (within the 90 % interval), ``disagrees`` (beyond three sigmas of a useful scale), else
+        ``doubtful``; NO_UNIT where the claim's unit is not known."""
         if not self.unit_known:
             return NO_UNIT
         if self.sigmas <= Z90:
@@ -118,7 +118,7 @@ class Comparison:
         return figure(self.claimed, self.unit_known, self.why, self.unit)
 
     def _fits(self) -> str:
-        """Whether the claim would agree if it were of one of UNITS."""
+        """Whether the claim would agree if it were in one of UNITS."""
         off = {name: abs(math.log(self.ratio / metres)) / self.sd for name, metres in UNITS.items()}
         told = {name: f"{name} ({sigmas:.1f} sigma)" for name, sigmas in off.items()}
         fitting = [told[name] for name, sigmas in off.items() if sigmas <= Z90]
@@ -126,7 +126,7 @@ class Comparison:
 
 
 def figure(claimed: float, unit_known: bool, why: str, unit: str = PER_PIXEL) -> str:
-    """A claimed scale [`unit`, if `unit_known`; else of a pixel] with `why` it is that, in words."""
+    """A claimed scale [`unit` if `unit_known`, else per pixel] and `why` it is that, in words."""
     return f"{claimed:.5g} {unit if unit_known else 'per pixel'}: {why}"
 
 
@@ -150,8 +150,8 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
 
 
 def metric_claim(source: Source, scale: Scale) -> Comparison | None:
-    """A metre per unit, compared with `scale`, of a reconstruction that counts as metric, or by its unit looks so; None
-    of others, and where `scale` contradicts itself."""
+    """The claim of one metre per unit, compared with `scale`, if a reconstruction counts as metric or its unit is
+    nearly a metre; None for others, and where `scale` contradicts itself."""
     if source.posed is None or scale.conflict:
         return None
     why = source.metric_already
@@ -171,9 +171,10 @@ def metric_claim(source: Source, scale: Scale) -> Comparison | None:
 
 
 def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
-    """A note on a reconstruction that does not count as metric, but whose unit is nearly a metre; () of others.
+    """A note on a reconstruction that does not count as metric, but whose unit is nearly a metre; () for others.
 
-    It may have been aligned with positions that are not in its frames' tags, or so noisy that they say another scale.
+    It may have been aligned with positions that are not in its frames' tags, or that are so noisy that they give
+    another scale.
     """
     value = scale.value
     if (
@@ -202,8 +203,8 @@ def metric_reason(metric_already: str) -> str:
 
 
 def _sd_towards(claimed: float, scale: Scale) -> float:
-    """Relative one sigma of `scale` on the side of what is `claimed`."""
-    low, high = scale.interval90  # which need not be symmetric, nor, by the paper's estimator, positive
+    """Relative one sigma of `scale` on the side where the `claimed` scale lies."""
+    low, high = scale.interval90  # may be asymmetric, and not even positive with the paper's estimator
     end = high if claimed > scale.value else low
     sd = abs(math.log(end / scale.value)) / Z90 if end > 0 else scale.relative_sd
     return max(sd, NO_CLOSER)

@@ -10,39 +10,41 @@ import numpy as np
 
 from .boxes import Boxes
 
-ABOUT = 0.24  # log of the ratio of lengths that are about the same
-# Share of the boxes that two detection passes agree on, where they are mistakes. Eleven orthophotos of known scale have
-# 0.5 to 0.9, one with 14 vehicles 0.2; five of six rendered pictures without any vehicle 0.04 to 0.3, one 0.6.
+ABOUT = 0.24  # greatest log ratio of two lengths that count as about the same
+# Share of boxes that both detection passes find, below which they may be false detections. It is 0.5 to 0.9 on eleven
+# orthophotos of known scale and 0.2 on one with 14 vehicles; 0.04 to 0.3 on five of six rendered pictures without any
+# vehicle and 0.6 on one.
 OF_MISTAKES = 0.3
-# Of the share among the vehicles, from which less is that of mistakes. In twelve orthophotos of known scale 11 of 4,216
-# boxes fall under both limits, all of them shorter than two thirds of the median (2026-11-23).
+# The second limit, relative to the share at the vehicles' length. In twelve orthophotos of known scale 11 of 4,216
+# boxes fall below both limits, all of them shorter than two thirds of the median (2026-11-23).
 MUCH_LESS = 0.5
-# Of what stands for the best length, from which another may be the vehicles' as well. In the search the second best of
-# twelve places and two orthophotos of known scale has 0.04 to 0.19, on rendered towns of panels and graves up to 0.7.
+# Evidence for another length, relative to that for the best one, from which it may be the vehicles' length as well. In
+# the scale search the second best length has 0.04 to 0.19 on twelve places and two orthophotos of known scale, and up
+# to 0.7 on rendered towns of panels and graves.
 AS_LIKELY = 0.4
 
 
 def share_confirmed(length: np.ndarray, confirmed: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(K,) share of the boxes of about each `length` (K,) that two passes agree on.
+    """(K,) share of the boxes of about each `length` (K,) that both passes find.
 
-    confirmed : (M,) lengths of the boxes that both see; seen : (N,) of all that one sees, those among them. One of one
-    says little, so shares begin with one of three.
+    confirmed : (M,) lengths of the boxes that both passes find. seen : (N,) lengths of all boxes, these included. One
+    of one says little, so one confirmed box of three is added to the counts.
     """
     both, every = (1 + about(np.log(length), np.sort(np.log(some))) for some in (confirmed, seen))
     return np.asarray(both / (2 + every))
 
 
 def about(where: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(K,) how many of the sorted `values` (N,), log lengths, lie within ABOUT of each of `where` (K,)."""
+    """(K,) how many of `values` (N,), sorted log lengths, lie within ABOUT of each of `where` (K,)."""
     return np.searchsorted(values, where + ABOUT, "left") - np.searchsorted(values, where - ABOUT, "right")
 
 
 def seldom_confirmed(boxes: Boxes, doubtful: Boxes) -> np.ndarray:
-    """(N,) bool: which of the `boxes` that both passes see are of a length of which they seldom do, as seldom as of
-    mistakes, and much less often than of the length that most of the evidence is of; as long as it is clear which that
-    is.
+    """(N,) bool: which of the `boxes` that both passes find are of a length that is seldom confirmed: as seldom as
+    false detections are, and much less often than the length with most of the evidence. None of them if such a length
+    has nearly as much evidence.
 
-    doubtful : what one pass alone sees.
+    doubtful : the boxes that only one pass finds.
     """
     if not len(boxes):
         return np.zeros(0, bool)

@@ -1,4 +1,4 @@
-"""Evidence from places that are known in metres: distances and ground control, and the ground that places lie on."""
+"""Evidence from places that are known in metres: distances and ground control; and errors of the ground's height."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from scipy.special import stdtrit
 from .evidence import BY_CONTROL, BY_DISTANCE, Evidence
 from .pooling.posterior import Z90, Posterior
 
-DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
-SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
-READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, along a line
-SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
-CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
-# Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
-# ones (`sources.ground_sheet.WANDER`), distances along the ground are longer by so much.
+DISTANCE_SD = 0.01  # relative one sigma of a known distance without a given one: a tape, and points clicked by hand
+SHORTEST, LONGEST = 1e-3, 1e6  # limits of a known distance [m]: what can show in a picture
+READING_SD = 0.5  # [px] one sigma, along a line, of a point that a person reads in a picture
+SUREST = 1e-6  # least relative one sigma of a known distance: surveyors reach that
+CONTROL_SD = 0.05  # least one sigma of a ground control point, and its value without residuals [m]
+# Relative one sigma of horizontal distances on a ground that is taken for level: down a street of 8 %, the steepest
+# that is usual (`sources.ground_sheet.WANDER`), distances along the ground are longer by that much.
 LEVEL_SD = 0.003
 
 
 def known_distance(
     points: np.ndarray, metres: float, sd: float | None = None, where: str = "", read_sd: float = 0.0
 ) -> Evidence:
-    """Two points (2, D) [units], `metres` apart, good to `sd` [m] (1 % where it is not given). read_sd : one sigma of
-    their distance, from how well the two can be read [units].
+    """Two points (2, D) [units], `metres` apart, with one sigma `sd` [m] (1 % if not given). read_sd : one sigma of
+    their distance [units] from reading the two points.
 
-    Raises ValueError where the points coincide or a number is not positive.
+    Raises ValueError where the points coincide or a number is out of range.
     """
     units = float(np.linalg.norm(points[0] - points[1]))
     sd = DISTANCE_SD * metres if sd is None else sd
@@ -47,15 +47,15 @@ def ground_control(
     level_sd: float = 0.0,
     how: Sequence[str] = (),
 ) -> Evidence:
-    """Points (N, D) [units] and the same points (N, D) [m], N >= 2: the scale of the similarity transform between them
-    (ratio of their spreads about the centroid, Horn 1987). Their axes may have any direction, and be mirrored. read_sd
-    : one sigma of how well each point can be read along a line [units], one number or (N,). level_sd : where `units`
-    lie in a ground that is taken for level, relative one sigma of all their distances. how : what else is said of them.
-    Raises ValueError.
+    """The scale of the similarity transform between points (N, D) [units] and the same points (N, D) [m], N >= 2: the
+    ratio of their spreads about the centroid (Horn 1987). The axes may have any direction, and be mirrored. read_sd :
+    one sigma of reading each point along a line [units], one number or (N,). level_sd : relative one sigma of all
+    distances, if `units` lie on a ground that is taken for level. how : further words of the description. Raises
+    ValueError.
 
-    What the points leave of the transform holds all their errors, those of reading too. Few points tell its size badly:
-    the sigma is that whose 90 % interval is the one of Student's t. But a small rest may be luck, and two points leave
-    none: the errors are no smaller than is assumed of them, CONTROL_SD and `read_sd`.
+    The residuals of the transform contain all errors of the points, also those of reading. Few points determine their
+    size badly, so the sigma is that whose 90 % interval is the one of Student's t. But small residuals may be luck, and
+    two points have none: the errors are taken to be no smaller than CONTROL_SD and `read_sd`.
     """
     if len(units) < 2 or len(units) != len(metres):
         raise ValueError("at least two points are needed, each in both systems")
@@ -67,9 +67,9 @@ def ground_control(
     sd = float(np.hypot(CONTROL_SD / spread[1], reading))
     says = [f"{len(units)} points", *how]
     dims = units.shape[1]
-    freedom = dims * len(units) - dims - dims * (dims - 1) // 2 - 1  # what shift, rotation and scale leave
+    freedom = dims * len(units) - dims - dims * (dims - 1) // 2 - 1  # less shift, rotation and scale
     if freedom > 0:
-        # The best rotation, or mirrored one, leaves that of the sum of squares (Kabsch 1976).
+        # Share of the sum of squares that the best rotation, or mirrored rotation, leaves (Kabsch 1976).
         rest = 1 - (np.linalg.norm(first.T @ second, "nuc") / spread[0] / spread[1]) ** 2
         sd = max(sd, float(np.sqrt(max(rest, 0.0) / freedom) * stdtrit(freedom, 0.95)) / Z90)
     else:
@@ -81,11 +81,11 @@ def ground_control(
 
 
 def meeting_point(centres: np.ndarray, rays: np.ndarray, sds: np.ndarray) -> tuple[np.ndarray, float]:
-    """Where rays (N, 3) from cameras at `centres` (N, 3) meet, N >= 2, as nearly as they do: (3,), and one sigma of it
-    along a line, on average over all directions.
+    """The point (3,) nearest to all rays (N, 3) from cameras at `centres` (N, 3), N >= 2; and its one sigma along a
+    line, on average over all directions.
 
-    The sum of the squares of its distances from the rays is least, each by its own sigma, `sds` (N,) of how well the
-    ray is read across it; all in the same units. Rays must not be parallel.
+    It has the least sum of squared distances from the rays, each weighted by `sds` (N,), one sigma of the ray across
+    itself; all in the same units. The rays must not be parallel.
     """
     along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     across = (np.eye(3) - along[:, :, None] * along[:, None, :]) / sds[:, None, None] ** 2
@@ -95,7 +95,7 @@ def meeting_point(centres: np.ndarray, rays: np.ndarray, sds: np.ndarray) -> tup
 
 
 def missed_by(place: np.ndarray, centres: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """(N,) how far rays (N, 3) from `centres` (N, 3) pass by a place (3,), in its units."""
+    """(N,) distances at which rays (N, 3) from `centres` (N, 3) pass a place (3,), in its units."""
     along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     off = place - centres
     return np.asarray(np.linalg.norm(off - (off * along).sum(1, keepdims=True) * along, axis=1))
@@ -108,19 +108,20 @@ def widest_angle(rays: np.ndarray) -> float:
 
 
 def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """(N,) by what share all distances between `points` (N, D) grow, for each share of the cameras' height by which the
-    ground under one of them lies lower: together 1 for points of one picture. rays : (N, D) from the cameras to the
-    points, 0 for one that was not seen on the ground; in the same units."""
+    """(N,) relative growth of all distances between `points` (N, D) per lowering of the ground under each of them, as a
+    share of the cameras' height; they sum to 1 for points of one picture. rays : (N, D) from the cameras to the points,
+    0 for a point that was not seen on the ground; in the same units."""
     off = points - points.mean(0)
     return np.asarray((off * rays).sum(1) / (off**2).sum())
 
 
 def on_ground(found: Evidence, shares: np.ndarray, own: np.ndarray, shared: float) -> Evidence:
-    """What was `found` from places on a reconstruction's ground, with the error of that ground's height.
+    """Evidence `found` from places on a reconstruction's ground, with the error of that ground's height added.
 
-    shares : (N,) how much of it they have (`ground_shares`). own : (N, N) covariance of it, as a share of the cameras'
-    height, and shared : one sigma of what is common to all that was seen on that ground. What has more than all of the
-    latter, or has it reversed, does not err as the vehicles do by so much more.
+    shares : (N,) how far that error affects it, by place (`ground_shares`). own : (N, N) covariance of the places' own
+    errors, and shared : one sigma of the error common to all that was seen on that ground, both as shares of the
+    cameras' height. Shares that sum to more than 1, or to less than 0, take the excess as an error of their own: the
+    vehicles do not have it.
     """
     whole = float(shares.sum())
     common = float(np.clip(whole, 0, 1)) * shared

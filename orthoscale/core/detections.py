@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from .boxes import Boxes
 from .ruler import Ruler
 
-# Boxes from a file that does not say what ruler they are: a margin nobody has measured.
+# For boxes from a file that has no ruler: nobody has measured their margin.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
-UNKNOWN_HEIGHT = (0.7, 0.6)  # of a DOTA-trained YOLO-OBB on oblique frames, for want of better [m]
+UNKNOWN_HEIGHT = (0.7, 0.6)  # their effective heights: those of a DOTA-trained YOLO-OBB on oblique frames [m]
 UNCONFIRMED = "low confidence, or detected at only one resolution"  # why `Detections.doubtful` do not count
 
 
@@ -28,9 +28,9 @@ class Tile:
 
 @dataclass(frozen=True)
 class Swept:
-    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of tiles that
-    there are. from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : why
-    the others were left out, in words; empty if none were."""
+    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of all tiles.
+    from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : the reason for
+    which the others were left out, in words; empty if none were."""
 
     tiles: list[tuple[str, Tile]] = field(repr=False)
     total: int
@@ -40,7 +40,7 @@ class Swept:
 
     @property
     def looked_at(self) -> str:
-        """Number processed and total, in words: of frames where there are several pictures, else of tiles."""
+        """The number processed and the total, in words: of frames if there are several pictures, else of tiles."""
         if self.pictures == 1:
             return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
         return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
@@ -51,16 +51,16 @@ class Detections:
     """Boxes by picture name [px of the picture], with what is needed to measure with them.
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
-    effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
+    effective_height : height up to which boxes enclose a vehicle seen obliquely, for its length and its width [m].
     undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
     objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
-    doubtful : boxes that one detection pass alone shows, or both without being sure (UNCONFIRMED), by picture name.
-    set_aside : boxes that both passes show and that do not count all the same, by the reason and picture name.
-    planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
-    body : what the vehicles are shaped like, one of `core.projection.exact.BODIES`; the card's.
-    swept : which tiles were looked at, where the boxes do not come from a file.
+    doubtful : boxes that only one detection pass finds, or both with low confidence (UNCONFIRMED), by picture name.
+    set_aside : boxes that both passes find but that do not count, by the reason and picture name.
+    planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
+    body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
+    swept : which tiles were processed; None for boxes from a file.
 
-    Files of them are read and written by `orthoscale.formats.detections`.
+    `orthoscale.formats.detections` reads and writes files of them.
     """
 
     boxes: dict[str, Boxes]
@@ -83,11 +83,11 @@ class Detections:
 
     @property
     def unconfirmed(self) -> int:
-        """Number of the doubtful ones."""
+        """Number of `doubtful` boxes."""
         return sum(map(len, self.doubtful.values()))
 
     def setting_aside(self, why: str, boxes: Mapping[str, Boxes]) -> Detections:
-        """The same with more boxes set aside for the reason `why`, by picture name."""
+        """The same with more `boxes` set aside, by picture name, for the reason `why`."""
         aside = dict(self.set_aside.get(why, {}))
         for name, more in boxes.items():
             aside[name] = Boxes.concatenate([aside.get(name, Boxes.empty()), more])
@@ -95,5 +95,5 @@ class Detections:
 
     @property
     def any_boxes(self) -> bool:
-        """Whether there is a vehicle, in the pictures or in those of the ground."""
+        """Whether there is any vehicle, in the pictures or in the ground pictures."""
         return len(self) > 0 or (self.planar is not None and self.planar.any_boxes)

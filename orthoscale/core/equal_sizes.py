@@ -1,9 +1,9 @@
-"""Objects in one place that are all of one size are not vehicles: solar panels, skylights, graves, stacked crates.
+"""Finds objects that are all of one size, and so are not vehicles: solar panels, skylights, graves, stacked crates.
 
 Vehicles of a place differ in length by 7 to 10 %, and a detector adds an error to each: the lengths of boxes of parked
 vehicles scatter by 4 to 8 % in every row and car park (below). Panels are of one make: their boxes scatter by 1 to 3 %.
-A chi-squared test decides for each group of neighbouring boxes whether they scatter too little to be vehicles, so that
-a few vehicles of equal size are kept.
+A chi-squared test decides for each group of neighbouring boxes whether they scatter too little to be vehicles. So a few
+vehicles that happen to be of equal size are kept.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import numpy as np
 from .boxes import Boxes
 from .confirmed import about
 
-TOGETHER = 1.6  # of the shorter box's length: centres nearer than this stand together; bays end to end are 1.2 apart
-TURN = np.radians(8.0)  # boxes of one group point the same way to this
+TOGETHER = 1.6  # [lengths of the shorter box] centres nearer than this form a group; bays end to end are 1.2 apart
+TURN = np.radians(8.0)  # angle within which neighbouring boxes of a group are parallel
 # Least scatter (one sigma of the log) of the box lengths of vehicles that stand together. Measured with version 5 in
 # groups of ten and more on six places of known scale (manila, chongqing, four of the USA): 0.041 to 0.082 from 20
 # vehicles on. Rendered panels, graves and skylights have 0.014 to 0.032.
 LEAST_SCATTER = 0.04
-MISTAKEN = 1e-3  # that a group of vehicles is taken for equal things
-# The same where equal things of about that length are known to be in the picture: what stands on one roof stands on the
-# next. Rendered panels in groups of 10 to 40 have 0.02 to 0.03, too much for small groups to be told by themselves.
+MISTAKEN = 1e-3  # probability of taking a group of vehicles for objects of one size
+# The same where the picture is known to hold such objects of about that length: what stands on one roof stands on the
+# next. Rendered panels in groups of 10 to 40 scatter by 0.02 to 0.03, too much to recognise a small group by itself.
 MISTAKEN_AGAIN = 0.05
 
 
 def all_alike(boxes: Boxes) -> np.ndarray:
-    """(N,) bool: which of `boxes` (of one picture, at any zoom) belong to a group of things too much alike for
+    """(N,) bool: which of `boxes` (of one picture, at any zoom) belong to a group whose lengths are too much alike for
     vehicles."""
     group = _standing_together(boxes)
     count = np.bincount(group, minlength=1)
@@ -40,29 +40,30 @@ def all_alike(boxes: Boxes) -> np.ndarray:
 
 
 def of_one_size(boxes: Boxes) -> bool:
-    """Whether `boxes`, wherever they stand, are too much alike for vehicles all together."""
+    """Whether `boxes`, taken as one group wherever they stand, are too much alike for vehicles."""
     log_length = np.log(boxes.length)
     squares = ((log_length - log_length.mean()) ** 2).sum() if len(boxes) else 0.0
     return bool(_by_chance(np.array([len(boxes)]), np.array([squares]))[0] < MISTAKEN)
 
 
 def _by_chance(count: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """(G,) probability that vehicles in groups of `count` (G,) scatter as little as to have these sums of `squares`
-    (G,) about their mean log length, by the least variance that they have."""
+    """(G,) probability that the log lengths of `count` (G,) vehicles have a sum of squares about their mean as small as
+    `squares` (G,), at the least variance of vehicles (LEAST_SCATTER)."""
     from scipy.special import chdtr
 
     return np.where(count > 2, chdtr(np.maximum(count - 1, 1), squares / LEAST_SCATTER**2), 1.0)
 
 
 def more_of_the_same(boxes: Boxes, alike: np.ndarray) -> np.ndarray:
-    """(N,) bool: which others of `boxes` are probably like those that are `alike` (N,): no more are about as long."""
+    """(N,) bool: which other `boxes` are probably like those that are `alike` (N,) bool: of the boxes of about their
+    length, at least half are `alike`."""
     length = np.log(boxes.length)
     same, other = (about(length, np.sort(length[which])) for which in (alike, ~alike))
     return ~alike & (same >= other)
 
 
 def _standing_together(boxes: Boxes) -> np.ndarray:
-    """(N,) number of the group that each box belongs to: those that chains of near neighbours connect."""
+    """(N,) number of each box's group; chains of near neighbours connect the boxes of a group."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -70,7 +71,7 @@ def _standing_together(boxes: Boxes) -> np.ndarray:
     n = len(boxes)
     if n < 2:
         return np.arange(n)
-    # Of each octave of lengths and the next, so that one long box does not make all others its neighbours.
+    # Each octave of lengths is searched with the next, so that one long box does not make all others its neighbours.
     octave = np.floor(np.log2(boxes.length)).astype(int)
     found = [np.empty((0, 2), int)]
     for k in np.unique(octave):

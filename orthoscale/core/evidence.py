@@ -26,17 +26,17 @@ CONFLICT_HINT = (
     "boxes (--save-detections)"
 )
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
-STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
-# Of the vehicles' probability: the interval that no anchor alone leaves. It reaches CONFLICT_LIMIT sigmas to each side,
-# since what does not contradict the vehicles counts, each as much as its doubt leaves it.
+STRONG = 0.05  # probability of a false find up to which an anchor may contradict others
+# Probability of the vehicles' interval outside of which an anchor does not count by itself. It reaches CONFLICT_LIMIT
+# sigmas to each side: whatever does not contradict the vehicles counts, less the more doubtful it is.
 ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
-COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
+COMMON_AT_MOST = 0.99  # greatest share of a scale's variance that counts as common to all its sources
 ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is known: a factor of 20
-SUPPORTS = 2.0  # sigmas within which two measurements support each other; from there on there is a caution
-BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
+SUPPORTS = 2.0  # sigmas within which two measurements support each other; beyond, there is a caution
+BY_MAP = "map"  # kind of the evidence from a match with a georeferenced map
 LEADING = 0.5  # share of the weight from which one measurement decides the scale
-BY_GPS = "GPS positions"  # kind of the evidence that the positions of frames give (`core.gps`)
-BY_DISTANCE, BY_CONTROL = "known distance", "ground control"  # kinds of what a user gives
+BY_GPS = "GPS positions"  # kind of the evidence from the positions of frames (`core.gps`)
+BY_DISTANCE, BY_CONTROL = "known distance", "ground control"  # kinds of the evidence that a user gives
 MAY_BE = {  # by kind, what may be wrong with evidence that does not fit the rest
     BY_DISTANCE: "the distance may be mistyped, or not on the ground",
     BY_CONTROL: "the points may be mistyped, or of another grid",
@@ -50,10 +50,10 @@ OF_ANCHORS = "it may be of another standard, or something else"
 class Evidence:
     """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` describes it.
 
-    modes, words : all scales that it may mean, where there are several, and a description of each; `value` is one of
-    them. doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is
-    possible. common : one sigma of the error that it shares with the vehicles and with all else that was seen on the
-    same ground; not contained in `modes`. documented : False if it rests on a standard that is not
+    modes, words : if it may mean several scales, all of them, and a description of each; `value` is one of them.
+    doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is possible.
+    common : one sigma of the error that it shares with the vehicles and with all else that was seen on the same
+    ground; not contained in `modes`. documented : False if it rests on a standard that is not documented
     (`Standard.documented`): it counts, but improves no verdict.
     """
 
@@ -82,7 +82,7 @@ class Evidence:
         return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window, common)._meaning(modes.weight)
 
     def meant(self, scale: Posterior) -> Evidence:
-        """The same, with the mode as its `value` that fits the given `scale`."""
+        """The same, with the mode that fits the given `scale` best as its `value`."""
         if self.modes is None:
             return self
         variance = self.modes.sd**2 + scale.spread**2
@@ -90,7 +90,7 @@ class Evidence:
         return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
 
     def only(self, which: np.ndarray) -> Evidence:
-        """The same, restricted to the modes `which` (K,) bool, some of which must hold."""
+        """The same, restricted to the modes `which` (K,) bool, of which at least one must be True."""
         if self.modes is None:
             return self
         modes = self.modes.only(which)
@@ -113,22 +113,22 @@ class Evidence:
         return self.own.blurred(self.common**2)
 
     def unlike(self, other: Evidence) -> tuple[Posterior, Posterior]:
-        """The two distributions without the error that both share."""
+        """The distributions of this and of `other`, without the error that both share."""
         shared = min(self.common, other.common) ** 2
         return self.own.blurred(self.common**2 - shared), other.own.blurred(other.common**2 - shared)
 
     @property
     def own(self) -> Posterior:
-        """The same without the error that it shares with others."""
+        """The distribution of the scale's logarithm without the error that it shares with others."""
         return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One piece of evidence against all the rest: the vehicles and the other evidence, combined without it.
+    """One piece of evidence compared with the rest: the vehicles and the other evidence, combined without it.
 
     value : the scale that it means, given the rest. rest : the scale that the rest gives. sd : one sigma of the
-    difference of their logarithms. documented : of the evidence.
+    difference of their logarithms. documented : as `Evidence.documented`.
     """
 
     kind: str
@@ -140,7 +140,7 @@ class Compared:
 
     @property
     def difference(self) -> float:
-        """By what share it lies above the rest."""
+        """By what share it lies above the rest; negative if below."""
         return self.value / self.rest - 1
 
     @property
@@ -155,7 +155,7 @@ class Compared:
 
     @property
     def remark(self) -> Remark:
-        """The sentence on a doubtful one."""
+        """A caution for evidence that is `doubtful`."""
         apart = f"{percent(abs(self.difference))} {'more' if self.difference > 0 else 'less'}"
         text = (
             f"{self.says}: gives {self.value:.5g}, {apart} than the {self.rest:.5g} of all else "
@@ -166,11 +166,11 @@ class Compared:
 
 @dataclass(frozen=True)
 class Support:
-    """How far other evidence supports a scale, and what it may do to its verdict.
+    """How far other evidence supports a scale, and how that limits its verdict.
 
-    compared : each piece that counts, against all the rest; empty in a conflict. unproven : one sigma by which the
-    scale would be less certain, in quadrature, without what is not documented. conflicts : the figures of each two
-    measurements that contradict each other.
+    compared : each piece that counts, compared with all the rest; empty in a conflict. unproven : what undocumented
+    evidence takes off the scale's one sigma, in quadrature. conflicts : the figures of each pair of measurements that
+    contradict each other.
     """
 
     compared: tuple[Compared, ...] = ()
@@ -183,7 +183,7 @@ class Support:
         return any(one.doubtful and one.documented for one in self.compared)
 
     def judged(self, sd: float) -> float:
-        """The relative one-sigma by which a scale of one sigma `sd` is judged."""
+        """The relative one-sigma by which a scale of one sigma `sd` is judged: without undocumented evidence."""
         return float(np.hypot(sd, self.unproven))
 
 
@@ -192,8 +192,8 @@ class Combined:
     """The combination of all measurements.
 
     conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
-    90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
-    means given the combined one. support : what that says of the scale.
+    90 % interval. In a conflict, the interval covers all of them. evidence : each piece that was given, with the scale
+    that it means given the combined one. support : how far the evidence supports the scale.
     """
 
     posterior: Posterior
@@ -209,8 +209,8 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     """The combination of `vehicles` and all `evidence`; `parts` are the one-sigmas of the vehicles' uncertainty by
     cause.
 
-    vehicles : None if there are none; then there is some evidence, and the prior of the scale is flat. In a conflict
-    the most certain measurement that is no anchor gives the value, or the most certain anchor if there is no such, and
+    vehicles : None if there are none; then there must be evidence, and the prior of the scale is flat. In a conflict
+    the most certain measurement without doubt gives the value, or the most certain strong one if all are doubtful, and
     the interval covers all of them.
     """
     before = _anything(evidence) if vehicles is None else vehicles
@@ -246,11 +246,11 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
     """Sigmas between the two measurements that contradict each other most, 0 where none do; and the figures of each
     pair that does. Two pieces of evidence are compared by the errors that they do not share.
 
-    Among many pairs some are far apart by chance: the limit is that of a single pair's probability, shared among them
+    Among many pairs some are far apart by chance, so the probability of a false contradiction is divided among them
     (Bonferroni).
     """
     pairs = [(one.says, *_nearest(*one.unlike(other)), other.says) for one, other in combinations(evidence, 2)]
-    if vehicles is not None:  # of a mixture, each what is nearest to the other counts
+    if vehicles is not None:  # of a mixture, the component nearest to the other measurement counts
         found = Posterior.normal(vehicles.centre, vehicles.spread)
         pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
     limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
@@ -264,8 +264,8 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
 
 
 def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior, tuple[float, float, float]]:
-    """A distribution centred on `surest` and wide enough to cover `every` one; and its summary, whose interval covers
-    all of them."""
+    """A distribution centred on `surest` and wide enough to cover `every` one; and a summary whose interval covers all
+    of them."""
     low, high = min(p.quantile(0.05) for p in every), max(p.quantile(0.95) for p in every)
     spread = float(max((high - low) / (2 * Z90), surest.spread))
     summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
@@ -273,8 +273,8 @@ def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior,
 
 
 def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Compared, ...]:
-    """Each piece of `heard` against `vehicles` and the other pieces, where there are any. What it would be compared
-    with otherwise, the combination, may be little more than itself."""
+    """Each piece of `heard` compared with `vehicles` and the other pieces, if there are any: not with the combination
+    of all, which may be little more than the piece itself."""
     found = []
     for k, e in enumerate(heard):
         others = [*heard[:k], *heard[k + 1 :]]
@@ -289,9 +289,9 @@ def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Co
 
 
 def _product(vehicles: Posterior, heard: Sequence[Evidence]) -> tuple[Posterior, float]:
-    """`vehicles` and the evidence `heard` together, and what of the error common to all that was seen on one ground is
-    left in it (a variance; infinite without evidence, for vehicles have all of it). That error is left out while these
-    are combined, and added afterwards. A measurement that knows that ground better shares a part of it only."""
+    """The product of `vehicles` and the evidence `heard`; and the variance in it of the error common to all that was
+    seen on one ground (infinite without evidence, for vehicles have all of that error). The error is left out while
+    they are combined, and added afterwards. A measurement that knows the ground better shares only a part of it."""
     if not heard:
         return vehicles, np.inf
     common = max(e.common**2 for e in heard)
@@ -306,7 +306,7 @@ def _product(vehicles: Posterior, heard: Sequence[Evidence]) -> tuple[Posterior,
 def _weighed(
     vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence], heard: Sequence[Evidence]
 ) -> Combined:
-    """The product of `vehicles` and of the evidence `heard`, none of which contradicts another."""
+    """The product of `vehicles` and of the evidence `heard`, which do not contradict one another."""
     posterior, common = _product(vehicles, heard)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
@@ -318,7 +318,7 @@ def _weighed(
 
 
 def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
-    """That GPS positions, which nobody gave on purpose, have most of the weight, where they do."""
+    """A remark if GPS positions, which nobody gave on purpose, have most of the weight."""
     return [
         Remark(INFO, f"{e.says} decide the scale, with {100 * weight:.0f} % of the weight; --no-gps leaves them out")
         for e in heard
@@ -329,8 +329,8 @@ def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
 def _within_reach(
     vehicles: Posterior, evidence: Sequence[Evidence]
 ) -> tuple[list[Evidence], list[tuple[Evidence, Remark]]]:
-    """The evidence that counts, each without the scales outside of the vehicles' interval that no other evidence
-    supports; and the evidence that does not count at all, each with a remark."""
+    """The evidence that counts, without its scales that lie outside of the vehicles' interval and that no other
+    evidence supports; and the evidence that does not count at all, each piece with a remark."""
     low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
     heard, unheard, interval = [], [], None
     for e in evidence:
@@ -371,8 +371,8 @@ def _shares(
     posterior: Posterior,
     common: float,
 ) -> dict[str, float]:
-    """One-sigmas that each source contributes to the combination; their squares add up to its variance. What all have
-    in common (a variance) is the geometry's."""
+    """One-sigmas that each source contributes to the combination; their squares add up to its variance. `common`, the
+    variance that all share, counts as geometry."""
     if not evidence:
         return dict(parts)
     spreads = [vehicles.blurred(-common).spread, *(e.own_sd for e in evidence)]

@@ -27,9 +27,9 @@ class Fleet:
 
     mean, sd : (3,) length, width, height [m]: mean, and spread between vehicles.
     mean_sd : (3,) one-sigma uncertainty of the means [m]; more vehicles do not shrink it.
-    shares_sd : one sigma of the share of a class, relative: how well the country's mix is known.
-    three_wheelers : passenger three-wheelers, which stand among the cars of some countries; `mean` and `classes` are
-        without them, and their weight is the share that they have of both together.
+    shares_sd : relative one sigma of the share of a class: how well the country's mix is known.
+    three_wheelers : passenger three-wheelers, which stand among the cars of some countries; `mean` and `classes` do
+        not include them, and their weight is their share of all small vehicles.
     """
 
     code: str
@@ -41,17 +41,17 @@ class Fleet:
     year: int
     source: str
     shares_source: str = ""  # where the classes' shares come from
-    candidates: tuple[Fleet, ...] = ()  # fleets of which one stands here, not known which
+    candidates: tuple[Fleet, ...] = ()  # fleets of which one is present, unknown which
     prior: tuple[float, ...] = ()  # probability of each candidate
     shares_sd: float = 0.0
     three_wheelers: Class | None = None
-    of_country: str = ""  # ISO code that a fleet of one's own names, where its own code says none
+    of_country: str = ""  # ISO code that a user's own fleet names, whose own code is none
 
     @classmethod
     def from_entry(cls, code: str, entry: Mapping[str, Any], segments: Mapping[str, Any] | None = None) -> Fleet:
         """From the plain values of an entry as in ``data/fleets.json``.
 
-        segments : that table's, for an entry that has only the segments' shares.
+        segments : that table's market segments, for an entry that gives only their shares.
         """
         mean, sd = np.array([entry[axis] for axis in AXES], float).T
         mean_sd = np.array(entry["mean_sd"], float)
@@ -67,12 +67,12 @@ class Fleet:
 
     @cached_property
     def told_apart(self) -> tuple[Class, ...]:
-        """The classes as far as boxes show which is which, three-wheelers last, for the pooling."""
+        """The classes that boxes can tell apart, three-wheelers last, for the pooling."""
         return self._told_apart(by_kind=False)
 
     @cached_property
     def told_apart_by_kind(self) -> tuple[Class, ...]:
-        """The same where the vehicles' kinds are seen, too."""
+        """The same if the vehicles' kinds are seen as well."""
         return self._told_apart(by_kind=True)
 
     def _told_apart(self, by_kind: bool) -> tuple[Class, ...]:
@@ -82,7 +82,7 @@ class Fleet:
 
     @property
     def every_class(self) -> tuple[Class, ...]:
-        """The classes with their shares of all small vehicles, three-wheelers last."""
+        """The classes, weighted by their shares of all small vehicles, three-wheelers last."""
         if self.three_wheelers is None:
             return self.classes
         total, left = sum(c.weight for c in self.classes), 1 - self.three_wheelers.weight
@@ -90,13 +90,13 @@ class Fleet:
 
     @property
     def place_vehicles(self) -> tuple[PlaceKind, ...]:
-        """How much a place is like this fleet: see `market_segments.PLACE_VEHICLES`."""
+        """How closely places follow this fleet's mix: see `market_segments.PLACE_VEHICLES`."""
         return place_vehicles(self.shares_sd)
 
     @property
     def country(self) -> str:
-        """The ISO code that it names, else what its own code begins with, which is one where it is a country's or of a
-        part of one (``US`` of ``US_TX``)."""
+        """The ISO code that it names; else the beginning of its own code, which is an ISO code for the fleet of a
+        country or of a part of one (``US`` of ``US_TX``)."""
         return self.of_country or self.code.split("_")[0]
 
     @cached_property
@@ -106,12 +106,12 @@ class Fleet:
 
     @property
     def log_mean_covariance(self) -> np.ndarray:
-        """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: what is not known of the
-        country's, and how far a place's stray from its country's."""
+        """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: the uncertainty of the country's
+        mean, and the scatter of the means of places about it."""
         return self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles)
 
     def class_mean_covariance(self, classes: Sequence[Class]) -> np.ndarray:
-        """(2, 2) the part of `log_mean_covariance` that shares of `classes`, which are told apart, do not explain."""
+        """(2, 2) the part of `log_mean_covariance` that fitted shares of `classes` do not explain."""
         total = sum(c.weight for c in classes)
         within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
         return self._country_covariance + within * place_scatter(self.place_vehicles)
@@ -135,7 +135,7 @@ class Fleet:
         return self.sample_of_classes(rng, n)[0]
 
     def sample_of_classes(self, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) length, width, height [m] of random vehicles of this fleet; (n,) the number of each one's class."""
+        """(n, 3) length, width, height [m] of random vehicles of this fleet; (n,) the index of each one's class."""
         weights = np.array([c.weight for c in self.classes])
         pick = rng.choice(len(weights), size=n, p=weights / weights.sum())
         normal = rng.standard_normal((n, 3))
@@ -148,15 +148,16 @@ class Fleet:
 
 
 def class_of(part: Mapping[str, Any], weight: float) -> Class:
-    """An entry with its own ``mean_sd``, as that of three-wheelers in ``data/fleets.json``, with that weight."""
+    """The class, with the given `weight`, of an entry with its own ``mean_sd``, such as that of three-wheelers in
+    ``data/fleets.json``."""
     mean, sd = np.array([part[axis] for axis in AXES], float).T
     mean_sd = np.array(part["mean_sd"], float)
     return Class(part["class"], weight, mean, sd, float(part["corr_LW"]), mean_sd, kinds_of(part["class"]))
 
 
 def _class(part: Mapping[str, Any], total: float, mean_sd: np.ndarray, corr_lw: float) -> Class:
-    """One entry of a mixture, whose weights have the sum `total`; its mean is as well known as the fleet's, relatively:
-    `mean_sd` (3,)."""
+    """The class of one entry of a mixture whose weights sum to `total`. mean_sd : (3,) relative one sigma of its mean,
+    which is the fleet's. corr_lw : used if the entry has none."""
     mean = np.array([part[axis][0] for axis in AXES], float)
     return class_of({"corr_LW": corr_lw, **part, "mean_sd": mean_sd * mean}, float(part.get("weight", 1.0)) / total)
 

@@ -1,11 +1,13 @@
-"""The scale of a reconstruction by the GPS positions of its frames: a similarity of camera centres to metres.
+"""The scale of a reconstruction by the GPS positions of its frames: a similarity transform from camera centres to
+metres.
 
-Only what is horizontal counts: a drone's heights come from a barometer. Errors of one receiver are no independent
-draws: they wander in seconds to tens of minutes, and a slow part of them stretches a flight without leaving anything in
-the residuals. So every position errs by a white part and by one that wanders (Gauss-Markov: variance times
-exp(-time / memory), alike in east and north), and all likely sizes and memories of the two are weighed by what the
-residuals say of them. The scale is that of least squares, which no memory sways; its sigma is the mean of what those
-errors do to it, and more where the residuals are larger than a receiver's (RECEIVERS).
+Only horizontal positions count: a drone's heights come from a barometer. The errors of one receiver are not independent
+of one another: they wander within seconds to tens of minutes, and a slow part of them stretches a flight without
+showing in the residuals. So every position has a white error and a wandering one (Gauss-Markov: covariance is variance
+times exp(-time / memory), alike in east and north), and all likely sizes and memories of the two are weighted by the
+likelihood of the residuals. The scale is that of least squares, which does not depend on them; its sigma is the
+weighted root mean square of what those errors do to it, and more where the residuals are larger than a receiver's
+(RECEIVERS).
 """
 
 from __future__ import annotations
@@ -15,37 +17,38 @@ import numpy as np
 from .control import LEVEL_SD
 from .evidence import BY_GPS, Evidence
 
-FEWEST_POSITIONS = 6  # that fit: four numbers of a similarity are fitted to twelve; a judgement
-MOST_POSITIONS = 300  # of a flight, evenly chosen, that are read and fitted: more show the same slow errors again
-# Residuals along one axis up to which they are the receiver's [m]: within that, drones hover by GPS (DJI's
-# specifications, from Phantom 4 on). What exceeds it is something else, of which it is not known that it averages out:
-# positions of `weedon` lag behind its pictures, by the more the faster it flies.
+FEWEST_POSITIONS = 6  # fewest that must fit: the four parameters of a similarity from twelve numbers; a judgement
+MOST_POSITIONS = 300  # positions of a flight, evenly chosen, that are read and fitted: more repeat the same slow errors
+# Residuals along one axis that a receiver may cause [m]: drones hover by GPS within that (DJI's specifications, from
+# Phantom 4 on). Larger ones have another cause, and may not average out: positions of `weedon` lag behind its pictures,
+# the more the faster it flies.
 RECEIVERS = 1.5
-# One sigma of what wanders, along one axis [m]. The least is a judgement: it keeps the shortest flights honest.
+# One sigma of the wandering error, along one axis [m]. The least is a judgement: it keeps the intervals of the shortest
+# flights honest.
 WANDERS = (0.3, 0.6, 1.2, 2.4, 4.8)
-# Its memories [s]: positions of single-frequency receivers are correlated in time, as an Ornstein-Uhlenbeck process has
-# it (doi:10.3390/s20216050), GPS errors over some 20 min (El-Rabbany and Kleusberg 2003); the shorter ones are of
+# Its memories [s]: positions of single-frequency receivers are correlated in time as in an Ornstein-Uhlenbeck process
+# (doi:10.3390/s20216050), GPS errors over some 20 min (El-Rabbany and Kleusberg 2003); the shorter ones are those of
 # filters, and of positions that lag behind.
 MEMORIES = (10.0, 60.0, 300.0, 1200.0)
-WHITES = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0)  # one sigma of the white part [m]: from RTK to degrees that were rounded
-ODD = 6.0  # sigmas along one axis, by the median, from which a position is a mistake ...
-ORDINARY = 10.0  # ... but no less than so far off [m]: those of `weedon` lag by up to 7 m, and are no mistakes
-MOST_ODD = 0.25  # share of mistakes from which none of the positions is believed
-REWEIGHTED = 20  # of robust fitting; it settles in fewer
-MEDIAN_OF_TWO = float(np.sqrt(2 * np.log(2)))  # median length of two normal errors, in sigmas (Rayleigh)
-MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothing: they are of another flight, say
-# Root mean square distance of the positions from their middle, below which they say nothing [m]: some RECEIVERS, and
+WHITES = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0)  # one sigma of the white error [m]: from RTK to rounded degrees
+ODD = 6.0  # robust sigmas along one axis from which a position is a mistake ...
+ORDINARY = 10.0  # ... if it is at least so far off [m]: those of `weedon` lag by up to 7 m, and are no mistakes
+MOST_ODD = 0.25  # share of mistakes above which none of the positions is believed
+REWEIGHTED = 20  # iterations of the robust fit; it settles in fewer
+MEDIAN_OF_TWO = float(np.sqrt(2 * np.log(2)))  # median length of a 2D normal error, in sigmas of one axis (Rayleigh)
+MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothing: they may be of another flight
+# Root mean square distance of the positions from their middle, below which they say nothing [m]: several RECEIVERS, and
 # the decimetres between antenna and camera, which no residual shows. A judgement.
 LEAST_EXTENT = 10.0
 UNFIT = "they do not fit its cameras"
 
 
 def by_positions(units: np.ndarray, metres: np.ndarray, seconds: np.ndarray) -> tuple[Evidence | None, str]:
-    """The scale of the similarity transform between places of cameras (N, 2) [units] and their positions (N, 2) [m],
-    both horizontal, east or x first; or None, and why not ('' where there are too few to speak of).
+    """The scale of the similarity transform between camera centres (N, 2) [units] and their positions (N, 2) [m], both
+    horizontal, east or x first; or None, and the reason ('' where there are too few to speak of).
 
-    seconds : (N,) when each was taken. Positions that several frames have are stale or rounded, and are left out.
-    Where some are mistakes, all of them are doubted by their share.
+    seconds : (N,) when each frame was taken. Positions that several frames share are stale or rounded, and are left
+    out. Where some are mistakes, their share is the probability that the evidence is false.
     """
     fresh = _fresh(metres)
     units, metres, seconds = units[fresh], metres[fresh], seconds[fresh]
@@ -67,14 +70,14 @@ def by_positions(units: np.ndarray, metres: np.ndarray, seconds: np.ndarray) -> 
 
 
 def _fresh(metres: np.ndarray) -> np.ndarray:
-    """(N,) bool: positions that one frame alone has."""
+    """(N,) bool: which of the positions only one frame has."""
     _, which, count = np.unique(metres, axis=0, return_inverse=True, return_counts=True)
     return count[which.ravel()] == 1
 
 
 def _fitting(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) bool: which of the positions `b`, complex, fit the places `a`: by the similarity of the least sum of
-    distances, found by weights (Weiszfeld 1937)."""
+    """(N,) bool: which of the positions `b`, complex, fit the places `a`, by the similarity transform with the least
+    sum of distances, found by reweighting (Weiszfeld 1937)."""
     weight = np.ones(len(a))
     for _ in range(REWEIGHTED):
         x, y = a - np.average(a, weights=weight), b - np.average(b, weights=weight)
@@ -86,10 +89,10 @@ def _fitting(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, float]:
-    """The scale of the least-squares similarity from `a` to `b`, complex, and its relative one sigma, over all errors
-    that are likely."""
+    """The scale of the least-squares similarity from `a` to `b`, complex; and its relative one sigma, averaged over all
+    likely errors."""
     design = np.stack([a - a.mean(), np.ones(len(a))], 1)
-    take = design[:, 0].conj() / np.vdot(design[:, 0], design[:, 0]).real  # of each position in the factor
+    take = design[:, 0].conj() / np.vdot(design[:, 0], design[:, 0]).real  # weight of each position in the factor
     apart = np.abs(seconds[:, None] - seconds)
     found = []
     for memory in MEMORIES:
@@ -101,7 +104,7 @@ def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, fl
                 whitened = x / variance[:, None]
                 inverse = np.linalg.inv(x.conj().T @ whitened)
                 off = y - x @ (inverse @ (whitened.conj().T @ y))
-                # Of residuals, east and north alike (restricted maximum likelihood).
+                # Log likelihood of the residuals, east and north alike (restricted maximum likelihood).
                 log = np.linalg.slogdet(inverse)[1] - np.log(variance).sum() - (np.abs(off) ** 2 / variance).sum() / 2
                 found.append((log, share @ variance))
     log, variance = np.array(found).T

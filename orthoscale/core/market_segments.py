@@ -1,4 +1,4 @@
-"""Segments of the car market, and the mixtures of them that fleets are."""
+"""Segments of the car market; a fleet is a mixture of them."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from scipy.special import entr
 
 AXES = ("length", "width", "height")
-# Classes are merged while that loses at most so much of what a vehicle's box tells of its class [nats]. At 0.05 China's
-# and Brazil's minis were lost among small cars; a lower limit keeps classes apart whose shares no car park tells, takes
-# longer, and is no nearer.
+# Classes are merged while that loses at most this much of what a vehicle's box tells of its class [nats]. At 0.05
+# China's and Brazil's minis were lost among small cars. A lower limit separates classes whose shares no car park can
+# tell, takes longer, and gives no better scales.
 TOLD_APART = 0.03
-# What stands at an odd place is not only what is usual in its country: a campus of minis or a lot of pickups is there
-# for a reason of its own. So a fifth of its vehicles are expected to be as in the country, the others of any class
-# alike. That is judged, for no survey counts odd places. A class that is rare in the country may then be most of a
-# place: of Germany's cars 7 % are minis, and half of a place's or more at 1 place of 240 by the country's shares alone,
-# 1 of 100 by these.
+# An odd place, such as a campus of minis or a lot of pickups, has its vehicles for a reason of its own. So a fifth of
+# them are expected to follow the country's shares, and the others to be of any class with equal probability. This is a
+# judgement, for no survey counts odd places. A class that is rare in the country may then dominate a place: 7 % of
+# Germany's cars are minis, and half or more of a place's cars at 1 place of 240 by the country's shares alone, at 1 of
+# 100 by these.
 ANY_CLASS = 0.8
 
 
 class PlaceKind(NamedTuple):
-    """A kind of places, by how much their vehicles are like their country's.
+    """A kind of places, by how closely their vehicles follow their country's mix.
 
-    vehicles : its mix is as if so many had been drawn and all others there were like them (a Dirichlet process).
-    probability : of a place of this kind.
-    even : share of those that are drawn from all classes alike, not by their shares in the country.
+    vehicles : concentration of the Dirichlet process that draws a place's mix: the fewer, the more mixes differ.
+    probability : that a place is of this kind.
+    even : share of the expected vehicles that are of all classes with equal probability, not as in the country.
     left_out : the share of larger vehicles beside the fleet (`pooling.beside_fleet.LARGER`) is known as if counted on
-        so many.
+        so many vehicles.
     """
 
     vehicles: float
@@ -38,25 +38,25 @@ class PlaceKind(NamedTuple):
     left_out: float = 20.0
 
     def shares(self, country: np.ndarray) -> np.ndarray:
-        """(K,) of the classes as they are expected at such a place, where those of the country are `country` (K,)."""
+        """(K,) expected shares of the classes at such a place, from the shares in the `country` (K,)."""
         return country + self.even * (country.sum() / len(country) - country)
 
 
 # A place (a car park, a district, a campus) has its own mix of vehicles: most places are much like their country, some
-# hardly. By their country's shares the means of places scatter about the country's with `place_scatter` times the
-# covariance of its vehicles: 2.9 % of length in Germany, 3.1 % in the USA; ANY_CLASS adds 0.2 %. On 12 places
-# read by eye it was 1.6 % (0 to 6 %), what is not known of the countries included (training/between_places.py). How
-# often a place is odd cannot be told from 12. Vans are 0 to 25 % at real places, but there are depots of them: at odd
-# places their share is as of 8 vehicles, not 20.
+# hardly. With the country's shares, the means of places scatter about the country's with `place_scatter` times the
+# covariance of its vehicles: 2.9 % of length in Germany, 3.1 % in the USA; ANY_CLASS adds 0.2 %. On 12 places read by
+# eye the scatter was 1.6 % (0 to 6 %), the uncertainty of the countries included (training/between_places.py). Twelve
+# places cannot tell how often one is odd. Vans are 0 to 25 % at real places, but there are depots of them: at odd
+# places their share is known as if counted on 8 vehicles, not 20.
 PLACE_VEHICLES = (PlaceKind(20.0, 0.8), PlaceKind(3.0, 0.2, ANY_CLASS, 8.0))
-# Of classes as of a fleet's, of which it has about five that boxes tell apart, the share that stands for all of them
-# where one figure says how well the shares of a country are known.
+# Share of a typical class, used where one figure says how well all shares of a country are known: boxes can tell about
+# five classes of a fleet apart.
 USUAL_SHARE = 0.2
-BOX_NOISE = 0.05  # of a box's length and width, relative: usual for the shipped detector
+BOX_NOISE = 0.05  # relative noise of a box's length and width: usual for the shipped detector
 CARS = (1.0, 0.0, 0.0, 0.0)
-# What the vehicles of a class are, as shares of `boxes.KINDS`, where they are not all cars. Seen from above, a people
-# carrier with a bonnet is a car, and one without is a van: judged from the models of those segments. Of three-wheelers
-# no measurer has learnt what to call them.
+# The vehicles of a class as shares of `boxes.KINDS`, where they are not all cars. Seen from above, a people carrier
+# with a bonnet is a car, and one without is a van: judged from the models of those segments. No measurer has learnt
+# which kind to call a three-wheeler.
 KINDS_OF = {
     "pickup": (0.0, 1.0, 0.0, 0.0),
     "van": (0.7, 0.0, 0.3, 0.0),
@@ -97,17 +97,17 @@ class Class:
 
 
 def place_vehicles(shares_sd: float) -> tuple[PlaceKind, ...]:
-    """PLACE_VEHICLES of a country of which the shares of the classes are known to `shares_sd` (one sigma, relative).
+    """PLACE_VEHICLES for a country whose shares of the classes are known to `shares_sd` (one sigma, relative).
 
-    A share p of a Dirichlet process with n vehicles has the variance p (1 - p) / (n + 1); what is not known of the
-    country adds (shares_sd p)^2 to it, which is that of fewer vehicles.
+    A share p of a Dirichlet process with n vehicles has the variance p (1 - p) / (n + 1). The uncertainty of the
+    country's share adds (shares_sd p)^2 to it, which is equivalent to fewer vehicles.
     """
     country = shares_sd**2 * USUAL_SHARE / (1 - USUAL_SHARE)
     return tuple(kind._replace(vehicles=1 / (1 / (kind.vehicles + 1) + country) - 1) for kind in PLACE_VEHICLES)
 
 
 def place_scatter(kinds: Sequence[PlaceKind]) -> float:
-    """The covariance of places' means, as a share of that of the country's vehicles."""
+    """The covariance of the means of places, as a share of the covariance of the country's vehicles."""
     return sum(kind.probability / (1 + kind.vehicles) for kind in kinds)
 
 
@@ -117,10 +117,10 @@ def classes_of(
     """The classes (mini, small, compact, mid, large, SUV, pickup, van) of a fleet, from the `shares` of its segments.
 
     `segments` are those of ``data/fleets.json``. Segments of one class are merged into one normal distribution of the
-    same mean and covariance. Then every class is made larger or smaller by the same factor along each axis, so that the
-    whole has the fleet's `mean` (3,) [m], known to `mean_sd` (3,) [m]: the segments' sizes are those of the models on
-    the road everywhere, a country's are older or newer. A class's own mean is as uncertain as the fleet's, and as which
-    of its models they are. Raises KeyError for a segment that is not in the table.
+    same mean and covariance. Then all classes are scaled by the same factor along each axis, so that the whole has the
+    fleet's `mean` (3,) [m], known to `mean_sd` (3,) [m]: the segments' sizes are those of the models on the road
+    everywhere, and a country's are older or newer. The uncertainty of a class's mean is that of the fleet's, and that
+    of which of its models are present. Raises KeyError for a segment that is not in the table.
     """
     merged: dict[str, Class] = {}
     for name, share in shares.items():
@@ -147,20 +147,20 @@ def classes_of(
 
 
 def kinds_of(name: str) -> np.ndarray:
-    """(4,) shares of `boxes.KINDS` among the vehicles of the class of that name."""
+    """(4,) shares of `boxes.KINDS` among the vehicles of the class `name`."""
     return np.array(KINDS_OF.get(name, CARS))
 
 
 def told_apart(classes: Sequence[Class], by_kind: bool = False) -> tuple[Class, ...]:
     """The classes of a fleet that boxes can tell apart: others are merged, the two that differ least first.
 
-    What a merger loses is Runnalls' bound of the Kullback-Leibler divergence between the mixtures before and after
+    The loss by a merger is Runnalls' bound of the Kullback-Leibler divergence between the mixtures before and after
     (IEEE Trans. Aerosp. Electron. Syst. 43 (2007) 989), in log length and log width with BOX_NOISE, and in kind if
-    that is seen as well (`by_kind`). The mean and the covariance of the whole stay, and the shares of kinds.
+    that is seen as well (`by_kind`). The mean and the covariance of the whole stay the same, and the shares of kinds.
     """
 
     def entropy(part: Class) -> float:
-        """But for a constant, of what is seen of its vehicles, times its weight [nats]."""
+        """Entropy of what is seen of its vehicles, up to a constant, times its weight [nats]."""
         return part.weight * (_log_volume(part) + (float(entr(part.kinds).sum()) if by_kind else 0.0))
 
     left = list(classes)
@@ -182,7 +182,7 @@ def _log_volume(part: Class) -> float:
 
 
 def _two(a: Class, b: Class) -> Class:
-    """Two classes as one, of the same mean and covariance."""
+    """Two classes merged into one, with the mean and the covariance of both together."""
     weight = a.weight + b.weight
     mean = (a.weight * a.mean + b.weight * b.mean) / weight
     covariance = sum(

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
-REFUSAL = "refusal"  # nothing is written on the strength of this scale without being told to (exit code 4)
+REFUSAL = "refusal"  # no output is written with this scale unless it is forced (exit code 4)
 CAUTION = "caution"  # a person should look at it before relying on the scale
 SUPPORT = "support"  # something that could have spoken against the scale, and does not
-INFO = "info"  # what was chosen or could not be done; says neither
-SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are read
+INFO = "info"  # what was chosen or could not be done; neither for nor against the scale
+SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are shown
 
 
-ONE = {  # what is said of one thing, by what is said of several
+ONE = {  # the singular of each plural word
     "vehicles": "vehicle",
     "boxes": "box",
     "do": "does",
@@ -22,14 +22,14 @@ ONE = {  # what is said of one thing, by what is said of several
 
 
 def amount(number: int, what: str) -> str:
-    """`number` and `what`, which is said of several: "4 usable vehicles", but "1 usable vehicle"."""
+    """`number` and `what`, which is given in the plural: "4 usable vehicles", but "1 usable vehicle"."""
     words = what.split(" ") if number != 1 else [ONE.get(word, word) for word in what.split(" ")]
     return " ".join([f"{number:,}", *words])
 
 
 @dataclass(frozen=True)
 class Remark:
-    """severity : one of SEVERITIES. text : one sentence without its full stop. hint : what to do, of refusals."""
+    """severity : one of SEVERITIES. text : one sentence without its full stop. hint : for a refusal, what to do."""
 
     severity: str
     text: str
@@ -46,13 +46,13 @@ class Remark:
 
     @property
     def label(self) -> str:
-        """How a line that prints it begins."""
+        """The word with which a printed line of it begins."""
         return "note" if self.severity == INFO else self.severity
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """One check of a scale: severity, one of SEVERITIES; what, in short; detail, the figures."""
+    """One check of a scale. severity : one of SEVERITIES. what : in short. detail : the figures."""
 
     severity: str
     what: str
@@ -68,16 +68,16 @@ Said = TypeVar("Said", Remark, Judgement)
 
 
 def by_severity(said: Iterable[Said]) -> tuple[Said, ...]:
-    """`said` with the most serious first, otherwise in their order."""
+    """`said`, sorted with the most serious first; the order is kept within one severity."""
     return tuple(sorted(said, key=lambda one: SEVERITIES.index(one.severity)))
 
 
 def percent(value: float) -> str:
-    """A share with one decimal: 0.0123 is ``1.2 %``. What that would make nothing has one digit, to ``0.001 %``."""
+    """A share with one decimal: 0.0123 is ``1.2 %``. One that would round to zero has up to three: ``0.001 %``."""
     small = 0 < abs(value) < 5e-4
     return f"{100 * value:.3f}".rstrip("0").rstrip(".") + " %" if small else f"{100 * value:.1f} %"
 
 
 def signed(value: float) -> str:
-    """As `percent`, with its sign; a true minus, as it is printed."""
+    """A share with one decimal and its sign, for print: with a true minus."""
     return f"{100 * value:+z.1f} %".replace("-", "−")

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 
 ROUND = (1, 2, 5, 10)
-BAR_SHARE = 1 / 5  # of a picture's width that a scale bar takes at most
-NEARLY = 0.999  # of a value: a round number of that size counts as no less
+BAR_SHARE = 1 / 5  # share of a picture's width that a scale bar takes at most
+NEARLY = 0.999  # share of a value from which a round number counts as no less than it
 
 
 def round_below(value: float) -> float:
-    """The largest that is no more than `value`, a positive number."""
+    """The largest round number that is no more than `value`, a positive number."""
     power = _power(value)
     return power * max(step for step in ROUND if step * power <= value)
 
 
 def round_above(value: float) -> float:
-    """The smallest that is no less than `value`, a positive number, or only a thousandth less."""
+    """The smallest round number that is no less than `value`, a positive number, or at most a thousandth less."""
     power = _power(value)
     return power * next(step for step in ROUND if step * power >= NEARLY * value)
 
@@ -28,6 +28,6 @@ def scale_bar(metres_per_px: float, width: int) -> tuple[float, float]:
 
 
 def _power(value: float) -> float:
-    """The power of ten next below, or `value` itself."""
+    """The largest power of ten that is no more than `value`."""
     power = 10.0 ** math.floor(math.log10(value))
-    return power if power <= value else power / 10  # the logarithm of what is hardly less is a whole number
+    return power if power <= value else power / 10  # just below a power of ten, the logarithm is rounded up

@@ -1,4 +1,4 @@
-"""How a detector's boxes relate to vehicles: the ruler that a card gives, or a calibration."""
+"""How a detector's boxes relate to vehicles: the ruler, from the detector's card or a calibration."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ class Ruler:
     margin : (2,) excess of box length and width over the vehicle [detector px].
     margin_sd : (2,) its one-sigma uncertainty [detector px].
     bias_sd : (2,) relative uncertainty of box length and width that no number of boxes removes (labels, paint, shade).
-    common_sd : the part of that which lengths and widths share: all boxes of a scene a little large, or small.
+    common_sd : the part of that which lengths and widths share: all boxes of a scene a little too large, or too small.
     noise : (2,) one-sigma noise of one box's length and width [detector px].
-    shrink : (2,) how far a box's length and width are drawn from the vehicle's to the usual one's: log box = log
-        vehicle + shrink * (log usual - log vehicle), then the margin; 0 for a faithful detector, 1 for one that draws
+    shrink : (2,) shrinkage of a box's length and width, from the vehicle's towards the usual vehicle's: log box = log
+        vehicle + shrink * (log usual - log vehicle), then the margin; 0 for a faithful detector, 1 for one that makes
         all alike. shrink_sd : (2,) its one-sigma uncertainty.
-    usual : (2,) length and width that boxes are drawn to [m].
-    kinds : (4, 4) shares: what vehicles of each of `boxes.KINDS` (rows) are called (columns), on average over places;
-        none where that was not measured: what they are called then tells nothing. kinds_vehicles : how much places
-        differ in it: as if each had its shares from so many vehicles of a kind (`pooling.observed.Confusion`).
+    usual : (2,) length and width towards which boxes shrink [m].
+    kinds : (4, 4) confusion matrix of shares: what vehicles of each of `boxes.KINDS` (rows) are called (columns), on
+        average over places; empty if it was not measured: the kinds are then not used. kinds_vehicles : how much places
+        differ in it: as if each place's shares came from so many vehicles of a kind (`pooling.observed.Confusion`).
     """
 
     margin: tuple[float, float] = (0.0, 0.0)
@@ -40,10 +40,10 @@ class Ruler:
 
     @property
     def drawing(self) -> Drawing:
-        """How the detector draws sizes, for `mixture`."""
+        """The detector's shrinkage, for `mixture`."""
         return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
 
     @property
     def confusion(self) -> Confusion | None:
-        """How far what vehicles are called is what they are, for `mixture`; None where that is not known."""
+        """How the detector confuses kinds of vehicles, for `mixture`; None if that is not known."""
         return Confusion(np.asarray(self.kinds), self.kinds_vehicles) if self.kinds else None

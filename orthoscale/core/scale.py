@@ -21,7 +21,7 @@ def decimals(uncertainty: float) -> int:
 
 
 def with_interval(value: float, low: float, high: float, unit: str) -> str:
-    """A value with its 90 % interval, for people: no more digits than its uncertainty leaves it."""
+    """A value with its 90 % interval, for people: with no more digits than its uncertainty justifies."""
     places = decimals((high - low) / 2)
     return f"{value:.{places}f} {unit} (90 %: {low:.{places}f} to {high:.{places}f})"
 
@@ -34,17 +34,17 @@ class Scale:
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
         drift.
-    by_vehicles : `parts` of what the vehicles alone say, before other evidence; empty where these are the same.
+    by_vehicles : `parts` by the vehicles alone, before other evidence; empty where these are the same.
     checks : the scale from lengths alone, from widths alone and, where these differ, from length minus width
         (free of a symmetric margin).
-    weights : share of lengths and widths in what the vehicles say.
+    weights : of lengths and widths in the scale by the vehicles; they sum to 1.
     tension : sigmas between the scale from lengths and that from widths.
     conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
     larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
-    fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
-    evidence : what entered besides the vehicles. support : what that says of the scale.
+    fleets : probability of each candidate fleet that is at all likely; one entry if there are no candidates.
+    evidence : the measurements besides the vehicles. support : how far they support the scale.
     remarks : what speaks against it, limits it or was found on the way.
-    used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
+    used : (N,) bool, votes that count. reasons : (N,) why the others do not ('' where used).
     """
 
     value: float
@@ -68,7 +68,7 @@ class Scale:
 
     @property
     def relative_sd(self) -> float:
-        """One sigma of the value as a share of it: all parts together, as independent."""
+        """One sigma of the value as a share of it: all parts together, taken as independent."""
         return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
 
     @property
@@ -83,7 +83,7 @@ class Scale:
         return (high - low) / 2 / self.value
 
     def with_parts(self, parts: dict[str, float]) -> Scale:
-        """The same value with other `parts` of its uncertainty: the interval is wider or narrower by as much, the
+        """The same value with other `parts` of its uncertainty: the interval becomes wider or narrower accordingly, the
         verdict never better than before."""
         changed = replace(self, parts=parts)
         now = changed.relative_sd
@@ -92,8 +92,8 @@ class Scale:
         return replace(changed, interval90=self.interval_of(self.value, now), verdict=word)
 
     def interval_of(self, value: float, sd: float) -> tuple[float, float]:
-        """The 90 % interval of a `value` that follows from the scale, of relative one-sigma `sd`: as skewed as the
-        scale's own."""
+        """The 90 % interval of a `value` derived from the scale, with relative one-sigma `sd`: as skewed as the scale's
+        own."""
         if not self.relative_sd:
             return float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd))
         low, high = (value * (end / self.value) ** (sd / self.relative_sd) for end in self.interval90)
@@ -105,8 +105,8 @@ class Scale:
         return replace(self, verdict=word, remarks=by_severity((*self.remarks, *remarks)))
 
     def text(self, *values: float) -> str:
-        """`values` in the scale's unit, by default its own value, with two significant digits of the uncertainty; also
-        in centimetres where the unit is metres per pixel."""
+        """`values` in the scale's unit, by default its own value, to two significant digits of the uncertainty; below 1
+        m/px also in centimetres."""
         values = values or (self.value,)
         places = decimals(self.half_width * self.value)
         metres = f"{' to '.join(f'{value:.{places}f}' for value in values)} {self.unit}"

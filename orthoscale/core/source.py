@@ -14,7 +14,7 @@ from .projection.view import LOWEST_ELEVATION, Views
 from .remarks import Remark
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
-NO_DATA_GREY = 114  # of pixels without data in what `Picture.read` gives
+NO_DATA_GREY = 114  # value of pixels without data that `Picture.read` returns
 
 
 class Picture(Protocol):
@@ -40,9 +40,9 @@ class Picture(Protocol):
 
 class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
-    it. unit_known : False if nothing says of what unit `gsd_m` is. why : the reason, for people. crs, transform : the
-    georeferencing behind it, None without any. aspect : how many times as wide as high a pixel is on the ground, 1
-    where that is not known. mirrored : whether the picture shows the ground so: its rows go north, or columns west."""
+    it. unit_known : False if nothing says in what unit `gsd_m` is. why : the reason, for people. crs, transform : the
+    georeferencing behind it, None without any. aspect : width over height of a pixel on the ground, 1 if that is not
+    known. mirrored : whether the picture shows the ground mirrored: its rows go north, or its columns west."""
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -63,10 +63,10 @@ class Claim(Protocol):
 
 
 class Pictures(Protocol):
-    """Something with pictures.
+    """Something that has pictures.
 
     path : of its file or folder. notes : remarks for the user on how it was read or written.
-    claimed : what it says of its own scale and place, None where it cannot say anything.
+    claimed : the scale and the place that it claims, None if it cannot claim any.
     """
 
     @property
@@ -77,7 +77,7 @@ class Pictures(Protocol):
     def pictures(self) -> Sequence[Picture]: ...
     @property
     def picture_names(self) -> list[str]:
-        """Names of all its pictures, also of those whose pixels are not at hand."""
+        """Names of all its pictures, including those whose pixels are not available."""
         ...
 
     def image_size(self, name: str) -> tuple[int, int]:
@@ -90,9 +90,9 @@ class Pictures(Protocol):
 
 @dataclass(frozen=True)
 class Located:
-    """A point of a source. place : (2,) or (3,) its position [source units]. read_sd : one sigma of how well that can
-    be read, along a line [source units]. ray : (2,) or (3,) from the camera that shows it to its place on the ground
-    [source units]; 0 for what is not seen on a ground."""
+    """A point of a source. place : (2,) or (3,) its position [source units]. read_sd : one sigma of reading it, along a
+    line [source units]. ray : (2,) or (3,) from the camera that shows it to its place on the ground [source units]; 0
+    for a point that was not seen on a ground."""
 
     place: np.ndarray
     read_sd: float
@@ -100,11 +100,11 @@ class Located:
 
 
 class OffGround(ValueError):
-    """A pixel that was to be located does not see the ground, or too flatly to be measured there."""
+    """A pixel to be located does not see the ground, or sees it at too low an elevation to be measured there."""
 
 
 class Source(Pictures, Protocol):
-    """What a scale is found for. It is a `Plan` or a `PosedSet`: one of `plan` and `posed` is itself, the other None.
+    """The input whose scale is sought: a `Plan` or a `PosedSet`. One of `plan` and `posed` is itself, the other None.
 
     unit : what its scale is measured in, "m/px", "m/model-unit" ...
     metric_already : why the source counts as metric already, as a sentence; empty if it does not.
@@ -120,7 +120,7 @@ class Source(Pictures, Protocol):
     def posed(self) -> PosedSet | None: ...
     @property
     def files(self) -> Sequence[Path]:
-        """The files that it was read from, but for its pictures; none of them is ever written to."""
+        """The files that it was read from, except its pictures; none of them is ever written to."""
         ...
 
     def content_hash(self) -> str:
@@ -128,18 +128,19 @@ class Source(Pictures, Protocol):
         ...
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places on a plan, x right and y up [source units], of places (N, D) in its own coordinates: the ground
-        as it is seen from above, never mirrored."""
+        """(N, 2) positions, x right and y up [source units], of places (N, D) in its own coordinates: the ground as
+        seen from above, never mirrored."""
         ...
 
     def locate(self, point: str) -> Located:
-        """Where a point that a user named in text lies. Raises ValueError, `OffGround` for a pixel without ground."""
+        """The place of a point that a user gave as text. Raises ValueError, and `OffGround` for a pixel without
+        ground."""
         ...
 
 
 class Placement(Protocol):
-    """Georeferencing of a plan. crs : its coordinate reference system. transform : the affine transform of its pixels
-    into that. said : in words, how the input's own georeferencing was changed."""
+    """Georeferencing of a plan. crs : its coordinate reference system. transform : the affine transform from its pixels
+    to that. said : in words, how the input's own georeferencing was changed."""
 
     @property
     def crs(self) -> Any: ...
@@ -150,27 +151,29 @@ class Placement(Protocol):
 
 
 class Plan(Source, Picture, Protocol):
-    """One picture of the ground from straight above, its own only `Picture`: an orthophoto. Its unit is the pixel.
+    """An orthophoto: one picture of the ground from straight above, and itself its only `Picture`. Its unit is the
+    pixel.
 
-    claimed : what its georeferencing says of its scale.
+    claimed : the scale by its georeferencing.
     """
 
     @property
     def claimed(self) -> Claim: ...
 
     def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Placement:
-        """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
+        """The georeferencing of a copy with this scale: local metres or, if `keep_origin`, the input's place and
+        direction."""
         ...
 
     def check_name(self, out: Path) -> None:
-        """Raise UsageError for a name of a file that `write` would refuse."""
+        """Raise UsageError for a file name that `write` would refuse."""
         ...
 
     def write(
         self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False, said: str = ""
     ) -> None:
-        """Write a GeoTIFF of the same pixels in metres, at `place`, by default in local metres, with what is `said` of
-        the scale in it; what is worth knowing of that goes to `notes`."""
+        """Write a GeoTIFF of the same pixels in metres, at `place` (by default in local metres), with the text `said`
+        on the scale in it. Remarks on the writing go to `notes`."""
         ...
 
 
@@ -186,8 +189,8 @@ class FocalDoubt:
 
 @dataclass(frozen=True)
 class GpsScale:
-    """What the GPS positions of a reconstruction's frames say of its scale. evidence : one piece, or none where there
-    are no positions, or they tell nothing. notes : why they tell nothing."""
+    """The scale of a reconstruction by the GPS positions of its frames. evidence : one piece, or none if there are no
+    positions or they tell nothing. notes : why they tell nothing."""
 
     evidence: tuple[Evidence, ...] = ()
     notes: tuple[str, ...] = ()
@@ -211,7 +214,7 @@ class Ground(Protocol):
         ...
 
     def height_above(self, points: np.ndarray) -> np.ndarray:
-        """(N,) heights of points (N, 3) over the ground."""
+        """(N,) heights of points (N, 3) above the ground."""
         ...
 
     def sd(self, points: np.ndarray) -> np.ndarray:
@@ -222,7 +225,7 @@ class Ground(Protocol):
 class GroundView(Picture, Protocol):
     """What one frame shows of the ground, warped to a plan of `unit_per_pixel` model units per pixel.
 
-    image : the frame's name. size : (2,) its width and height [px]. camera_height : over the ground [model units].
+    image : the frame's name. size : (2,) its width and height [px]. camera_height : above the ground [model units].
     """
 
     @property
@@ -235,7 +238,7 @@ class GroundView(Picture, Protocol):
     def camera_height(self) -> float: ...
     @property
     def frame(self) -> Picture | None:
-        """The frame, None where its pixels are not at hand."""
+        """The frame, None if its pixels are not available."""
         ...
 
     def ground(self, points: np.ndarray) -> np.ndarray:
@@ -243,15 +246,16 @@ class GroundView(Picture, Protocol):
         ...
 
     def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the frame has what this picture shows at `points` (N, 2): frame pixels (N, 2), NaN behind the camera,
-        and (N, 2) plane vectors from below the camera to the points, in this picture's axes, per camera height."""
+        """Where the frame shows what this picture shows at `points` (N, 2): frame pixels (N, 2), NaN behind the camera;
+        and (N, 2) vectors in the plane from the camera's foot to the points, in this picture's axes [camera heights].
+        """
         ...
 
 
 class PosedSet(Source, Protocol):
-    """Pictures whose poses are known, up to a scale: a reconstruction. Lengths are in model units.
+    """A reconstruction: pictures whose poses are known up to a scale. Lengths are in model units.
 
-    ground : under its cameras. focal : how far its focal length may be trusted.
+    ground : under its cameras. focal : how far its focal length can be trusted.
     """
 
     @property
@@ -260,7 +264,7 @@ class PosedSet(Source, Protocol):
     def focal(self) -> FocalDoubt: ...
     @property
     def gps(self) -> GpsScale:
-        """What the GPS positions of its frames say of its scale."""
+        """The scale by the GPS positions of its frames."""
         ...
 
     @property
@@ -281,7 +285,7 @@ class PosedSet(Source, Protocol):
         ...
 
     def centre(self, name: str) -> np.ndarray:
-        """(3,) where the camera of the picture `name` stands [model units, world]."""
+        """(3,) the camera centre of the picture `name` [model units, world]."""
         ...
 
     def rotation(self, name: str) -> np.ndarray:
@@ -289,7 +293,7 @@ class PosedSet(Source, Protocol):
         ...
 
     def project(self, name: str, world: np.ndarray) -> np.ndarray:
-        """(N, 2) pixels at which the picture `name` has the points `world` (N, 3); NaN where it cannot."""
+        """(N, 2) pixels of the picture `name` at which the points `world` (N, 3) lie; NaN where it cannot show them."""
         ...
 
     @property
@@ -298,11 +302,11 @@ class PosedSet(Source, Protocol):
         ...
 
     def check_writable(self) -> None:
-        """Raise InputError where `write` could not write all that belongs to it."""
+        """Raise InputError if `write` could not write everything that belongs to it."""
         ...
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write it in metres into the empty `folder`; what is worth knowing of that goes to `notes`."""
+        """Write it in metres into the empty `folder`. Remarks on the writing go to `notes`."""
         ...
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:

@@ -24,19 +24,19 @@ MEANINGS = {
     "map": "the match with the map, and what the map shows",
     "parking bays": "the width of parking bays at one place",
 }
-OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of a kind of anchor
+OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # the meaning of any kind of anchor
 # A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).
 COUNTRY_SHARE = 0.5
 NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
-FINEST = 5e-4  # of a distance, the least one sigma that is asked for: 1 cm in KNOWN_METRES
-# [m] the length of the distance that is given as an example: as long, or in coarse pictures the least multiple of it of
-# which reading the two points takes half of the sigma at most.
+FINEST = 5e-4  # least relative one sigma that is asked of a known distance: 1 cm in KNOWN_METRES
+# [m] length of the distance in the example. In coarse pictures it is the least multiple of this of which reading the
+# two points takes at most half of the sigma.
 KNOWN_METRES = 20.0
 
 
 @dataclass(frozen=True)
 class Part:
-    """relative_sd : one sigma, relative to the scale. share : of the variance."""
+    """One part. relative_sd : one sigma, relative to the scale. share : of the variance."""
 
     name: str
     relative_sd: float
@@ -46,7 +46,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Remedy:
-    """do : what would help. leaves : relative one-sigma of the scale afterwards."""
+    """What would help. do : in words. leaves : relative one-sigma of the scale afterwards."""
 
     do: str
     leaves: float
@@ -55,7 +55,7 @@ class Remedy:
 @dataclass(frozen=True)
 class Explanation:
     """relative_sd : of the scale. parts : of that, the largest first. remedies : the best first.
-    halve : the sentence that says what would halve the uncertainty."""
+    halve : a sentence that says what would halve the uncertainty."""
 
     relative_sd: float
     parts: tuple[Part, ...]
@@ -64,10 +64,10 @@ class Explanation:
 
 
 def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: float = 0.0) -> Explanation:
-    """From the `parts` of a scale's uncertainty (relative one-sigmas), its vehicles, and the code of its fleet.
+    """Explains the `parts` of a scale's uncertainty (relative one-sigmas), given its vehicles and its fleet's code.
 
-    pixel : of a picture in which distances are read [m]; 0 where they are told in coordinates.
-    Raises ValueError where nothing is told of it.
+    pixel : size of a pixel in which distances are read [m]; 0 if they are given in coordinates.
+    Raises ValueError if `parts` are empty or not finite.
     """
     variance = float(sum(sd**2 for sd in parts.values()))
     if not (parts and np.isfinite(variance)):
@@ -102,8 +102,9 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: f
 
 
 def _halve(variance: float, drift: float, remedies: list[Remedy], pixel: float) -> str:
-    """A measurement with sd s leaves 1 / (1 / v + 1 / s^2) of a variance v, but does not straighten what drifts: of the
-    rest of the variance, v, a quarter of the whole less that of the drift may be left."""
+    """The sentence on what would halve the uncertainty. A measurement with one sigma s reduces a variance v to
+    1 / (1 / v + 1 / s^2), but does not remove drift. So v, the variance without drift, must fall to a quarter of the
+    whole variance less that of the drift."""
     total = np.sqrt(variance)
     best = "; ".join(remedy.do for remedy in remedies if remedy.leaves <= total / 2)
     rest, left = variance - drift**2, variance / 4 - drift**2

@@ -7,7 +7,7 @@ import numpy as np
 from .remarks import CAUTION, REFUSAL, Remark
 
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
-UNUSABLE = "unusable"  # nothing is written without being told to
+UNUSABLE = "unusable"  # no output is written unless it is forced
 BEST_TO_WORST = (*(word for word, _ in VERDICTS), UNUSABLE)  # from the best to the worst
 FIT = {  # verdict: what the scale is fit for
     "good": "Suitable for metric layouts and checks.",
@@ -15,15 +15,15 @@ FIT = {  # verdict: what the scale is fit for
     "poor": "Suitable for a rough idea only.",
     UNUSABLE: "Not suitable for use.",
 }
-AT_BEST_DOUBTED = "fair"  # where a measurement does not fit the rest: one of them is wrong, but which is not known
-CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
-SHAPE_LIMIT = 4.0  # sigmas between them from which nothing is written without being told to
+AT_BEST_DOUBTED = "fair"  # if a measurement does not fit the rest: one of them is wrong, but it is not known which
+CHECK_LIMIT = 2.5  # sigmas between length and width above which the verdict is lowered
+SHAPE_LIMIT = 4.0  # sigmas between them above which no output is written unless it is forced
 
 
 def verdict(sd: float, odd_shape: bool, conflict: bool, doubted: bool = False) -> str:
     """``good``, ``fair``, ``poor`` or ``unusable``. sd : relative one-sigma of the scale. odd_shape : lengths and
-    widths give different scales; one step down, to ``poor`` at worst. conflict : two measurements contradict each
-    other, so the scale is not known. doubted : a measurement does not fit the rest; ``fair`` at best."""
+    widths give different scales: one step down, to ``poor`` at worst. conflict : two measurements contradict each
+    other, so the scale is not known: ``unusable``. doubted : a measurement does not fit the rest: ``fair`` at best."""
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
         return UNUSABLE
@@ -37,12 +37,12 @@ def worst(*verdicts: str) -> str:
 
 
 def one_step_below(word: str) -> str:
-    """The verdict after `word`; ``unusable`` is the last."""
+    """The next worse verdict after `word`; ``unusable`` is the last."""
     return BEST_TO_WORST[min(BEST_TO_WORST.index(word) + 1, len(BEST_TO_WORST) - 1)]
 
 
 def remark_on_shape(difference: float, tension: float) -> Remark:
-    """`difference` is log scale by lengths less that by widths, `tension` the sigmas between the two."""
+    """`difference` is the log scale by lengths minus that by widths, `tension` the sigmas between the two."""
     larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
     percent = 100 * np.expm1(abs(difference))
     return Remark(
@@ -57,8 +57,8 @@ def reasons(
 ) -> list[str]:
     """Why each vote does not count, '' where it does.
 
-    used, fleeting : (N,) bool. measurable : (M,) indices of votes. log_size : (M, 2) of these; its mean is `mean` where
-    they are used.
+    used, fleeting : (N,) bool. measurable : (M,) indices of votes. log_size : (M, 2) of these. mean : (2,) of log_size
+    over the votes that are used.
     """
     out = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
     for index, (d_length, d_width) in zip(measurable, log_size - mean, strict=True):

@@ -9,24 +9,24 @@ import numpy as np
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
-# Nor can the middles of two vehicles come closer than a width: groups of views that do are of one, whose boxes stray
-# (it stands half in the shade or under a tree), unless a frame shows both.
+# The centres of two vehicles cannot come closer than a width either. Groups of views that do are of one vehicle whose
+# boxes stray (it stands half in the shade or under a tree), unless a frame shows both.
 LEAST_APART = 1.0
-USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single one counts as a mistake
-# Share of the frames that show a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
-# (detect/weights/README.md). A parked vehicle that five frames show is then found in one of them alone in 0.6 % of the
+USUAL_VIEWS = 4  # number of views to be expected of a parked vehicle from which a single view counts as a mistake
+# Share of the frames showing a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
+# (detect/weights/README.md). A parked vehicle that five frames show is then found in only one of them in 0.6 % of the
 # cases; what is moving, in a few more.
 FOUND_IN = 0.8
-USUAL_NOISE = 0.05  # relative one sigma of a box that says nothing of its own, beside `lasting`
-LEAST_NOISE = 1e-3  # the same of one that says it has none
+USUAL_NOISE = 0.05  # relative one sigma of a box that has no `sigma` of its own, besides `lasting`
+LEAST_NOISE = 1e-3  # least relative one sigma, for boxes that claim to have none
 
 
 @dataclass(frozen=True)
 class Sightings:
     """M boxes as they lie on the ground: each is one sighting of a vehicle.
 
-    size : (M, 2), pixel : (M,), place : (M, D), score : (M,), sigma : (M, 2), kinds : (M, 4), lasting : (M, 2) as those
-    of `Votes`, of a single box each. picture : (M,) name of the picture of each, None where they are not known.
+    size : (M, 2), pixel : (M,), place : (M, D), score : (M,), sigma : (M, 2), kinds : (M, 4), lasting : (M, 2) as in
+    `Votes`, but of single boxes. picture : (M,) name of each one's picture, None if that is not known.
     """
 
     size: np.ndarray
@@ -56,11 +56,11 @@ class Votes:
     place : (N, 2) or (N, 3) where it stands [source units].
     score : (N,) best confidence of its boxes.
     members : (N,) lists of the boxes' indices.
-    sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where it is the ruler's.
-    kinds : (N, 4) how probably it is each of `boxes.KINDS`, NaN where unknown.
-    lasting : (N, 2) relative one-sigmas of its sizes that more views do not lessen: the ground's height under it, and
-    how its body is seen.
-    shown : (N,) number of pictures that have its place in view, None where that is not known.
+    sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where the ruler's holds.
+    kinds : (N, 4) probability of each of `boxes.KINDS`, NaN where unknown.
+    lasting : (N, 2) relative one-sigmas of those errors of its size that more views do not reduce: from the ground's
+        height under it, and from how high its boxes reach.
+    shown : (N,) number of pictures that have its place in view, None if that is not known.
     """
 
     size: np.ndarray
@@ -78,14 +78,15 @@ class Votes:
         return len(self.size)
 
     def counted(self, used: np.ndarray) -> list[np.ndarray]:
-        """The `members` of those votes that are `used` (N,)."""
+        """The `members` of the votes that are `used` (N,) bool."""
         return [members for members, counts in zip(self.members, used, strict=True) if counts]
 
     @property
     def fleeting(self) -> np.ndarray:
         """(N,) bool: seen in one frame where it should be in many. Mistakes flicker, parked cars stay.
 
-        In how many follows from how many frames show its place; where that is not known, from the other vehicles.
+        The number to be expected follows from how many frames show its place; if that is not known, from the views of
+        the other vehicles.
         """
         if self.shown is not None:
             usual = FOUND_IN * self.shown
@@ -98,7 +99,7 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
     """One vote for each vehicle that is `seen`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
-    Where these pictures are known, views that stray are joined (`LEAST_APART`).
+    If it is known which picture each is from, views that stray are joined too (`LEAST_APART`).
     """
     labels = np.arange(len(seen))
     if repeated and len(seen):
@@ -111,7 +112,7 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
 
     def over(values: np.ndarray, summary=np.median, weight: np.ndarray | None = None) -> np.ndarray:
         out = np.empty((len(members), *values.shape[1:]))
-        out[alone] = values[[members[k][0] for k in np.flatnonzero(alone)]]  # most are, in an orthophoto
+        out[alone] = values[[members[k][0] for k in np.flatnonzero(alone)]]  # nearly all, in an orthophoto
         for k in np.flatnonzero(~alone):
             weights = {} if weight is None else {"weights": weight[members[k]]}
             out[k] = summary(values[members[k]], axis=0, **weights)
@@ -132,29 +133,29 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
 
 
 def _weights(sigma: np.ndarray | None, lasting: np.ndarray) -> np.ndarray:
-    """(M, 2) of sightings in the middle size of their vehicle: the inverse variances of each."""
+    """(M, 2) weights of sightings in the median size of their vehicle: their inverse variances."""
     noise = np.full(lasting.shape, USUAL_NOISE) if sigma is None else sigma
     return 1 / np.maximum(np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
 
 
 def weighted_median(values: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:
-    """(D,) middle of `values` (N, D) with `weights` (N, D) along `axis` 0, as `numpy.average` takes them: half of the
-    weight lies on either side. With equal weights it is the median."""
+    """(D,) weighted median of `values` (N, D) with `weights` (N, D) along `axis` 0, which are given as to
+    `numpy.average`: half of the weight lies on either side. With equal weights it is the median."""
     order = np.argsort(values, axis=axis, kind="stable")
     values, weights = np.take_along_axis(values, order, axis), np.take_along_axis(weights, order, axis)
-    # Each value stands in the middle of its weight; between two of them the median goes straight.
+    # Each value lies at the middle of its weight; between two values the median is interpolated linearly.
     middle = (np.cumsum(weights, axis=axis) - weights / 2) / weights.sum(axis)
     return np.array([np.interp(0.5, middle[:, k], values[:, k]) for k in range(values.shape[1])])
 
 
 def _groups(labels: np.ndarray) -> list[np.ndarray]:
-    """The numbers of the boxes of each label, 0, 1, 2 ..., of `labels` (M,)."""
+    """The indices of the boxes of each label 0, 1, 2 ... in `labels` (M,)."""
     return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1]) if len(labels) else []
 
 
 def _joined(labels: np.ndarray, place: np.ndarray, picture: np.ndarray, least: float) -> np.ndarray:
-    """(M,) `labels` of groups of boxes, where two are one if their middles at `place` (M, D) lie closer than `least`,
-    each is the nearest to the other, and no `picture` (M,) shows both."""
+    """(M,) `labels` of groups of boxes, after two groups were joined if their median places, by `place` (M, D), lie
+    closer than `least`, each is the nearest to the other, and no `picture` (M,) shows both."""
     from scipy.spatial import cKDTree
 
     groups = _groups(labels)
@@ -170,7 +171,7 @@ def _joined(labels: np.ndarray, place: np.ndarray, picture: np.ndarray, least: f
 
 
 def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:
-    """Mean of the rows that are numbers; NaN of none."""
+    """Mean of the rows without NaN; NaN if there are none."""
     known = rows[np.isfinite(rows).all(1)]
     return known.mean(axis) if len(known) else rows[0]
 

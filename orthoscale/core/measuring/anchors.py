@@ -1,4 +1,4 @@
-"""Merges the views of each anchor into one vote on the ground of the source, however many pictures show it."""
+"""Merges all views of an anchor into one vote on the ground of the source."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from ..scale import Scale
 from ..source import GroundView
 from .footing import BY_POINTS, GROUND_SD, Footing
 
-FRAMES_APART = 2.0  # how far frames may place one line, or one middle, apart, in GROUND_SD of the camera's height
-# One sigma by which frames place one thing apart that lies on the ground, as a share of the camera's height, as if that
-# had been seen PLACED_LIKE times; what more is seen decides more.
+# How far two frames may place one line, or one centre, apart, in units of GROUND_SD times the camera's height.
+FRAMES_APART = 2.0
+# Prior of how far frames scatter in placing one thing on the ground: one sigma as a share of the camera's height, with
+# the weight of PLACED_LIKE observations.
 PLACED_SD, PLACED_LIKE = 0.003, 4
-LEAST_HEIGHT_SD = 0.003  # of what many frames see, as a share of the camera's height: poses bend, grounds tilt
+# Least one sigma of the height of a thing that many frames see, as a share of the camera's height: models are bent, and
+# the ground is tilted.
+LEAST_HEIGHT_SD = 0.003
 
 
 @dataclass(frozen=True)
 class FoundAnchors:
-    """What a search found: anchors in their pictures, and the votes that they make on the ground. without : the scale
-    before any of that was known. notes : what a user should know of the search."""
+    """What a search found: the anchors in their pictures, and their votes on the ground. without : the scale before the
+    search. notes : what a user should know about the search."""
 
     anchors: tuple[Anchor, ...] = ()
     votes: tuple[AnchorVote, ...] = ()
@@ -33,7 +36,7 @@ class FoundAnchors:
 
 
 def votes_in_plan(anchors: Sequence[Anchor], window: float) -> list[AnchorVote]:
-    """Those of an orthophoto, whose unit is its pixel. window : see `AnchorVote`."""
+    """The votes of the anchors in an orthophoto, whose unit is its pixel. window : see `AnchorVote`."""
     return [AnchorVote(a, a.place, a.pixels, a.relative_sd, window=window) for a in anchors]
 
 
@@ -44,12 +47,15 @@ def votes_in_model(
     window: float,
     footing: Footing = BY_POINTS,
 ) -> list[AnchorVote]:
-    """Those in the pictures of the ground `views`, by their names: what lies in one place is one anchor.
+    """The votes of anchors in ground pictures; those of one kind that lie in one place are one anchor.
 
-    Its size is the mean of what the pictures give, each by its variance; half of that they share (`SHARED`).
-    centre : (3,) of the camera of the frame of a name [model units]. footing : the ground on which they lie. Where
-    frames see a single thing from different places, they tell how high it lies, which the ground does to 1 % of the
-    camera's height only; and those that place it elsewhere than most took something else for a part of it.
+    views : the ground pictures, by name. centre : gives the (3,) camera centre of the frame of a name [model units].
+    footing : the ground on which the anchors lie. window : see `AnchorVote`.
+
+    An anchor's size is the mean over its pictures, weighted by their inverse variances; half of the variance is common
+    to all of them (`SHARED`). Where frames see a single thing from different places, they also give its height, which
+    the ground alone gives to 1 % of the camera's height only. Frames that place it elsewhere than most do are left out:
+    they took something else for a part of it.
     """
     votes = []
     for kind in dict.fromkeys(anchor.kind for anchor in anchors):
@@ -62,9 +68,9 @@ def votes_in_model(
 
 @dataclass(frozen=True)
 class _OnGround:
-    """An anchor on the ground as one frame shows it. lines : (L, 2, 3), place : (3,) its middle, units : its reference
-    length, camera : (3,) where the frame was taken, height : of that over the ground [model units]. ground_sd : one
-    sigma of the ground there, as `Footing.at` has it."""
+    """An anchor on the ground, as one frame shows it. lines : (L, 2, 3), place : (3,) its centre, units : its reference
+    length, camera : (3,) the frame's camera centre, height : of the camera above the ground; all [model units].
+    ground_sd : one sigma of the ground's height there, as from `Footing.at`."""
 
     anchor: Anchor
     lines: np.ndarray
@@ -85,10 +91,10 @@ class _OnGround:
 
 
 def _vote(seen: Sequence[_OnGround], footing: Footing, window: float) -> AnchorVote:
-    """The vote of one anchor, as it was `seen` in one frame or several."""
+    """The vote of one anchor that was `seen` in one frame or several."""
     height_sd, ground_sd = float(np.median([one.ground_sd for one in seen])), footing.shared
     larger = np.ones(len(seen))
-    if all(one.anchor.count == 1 for one in seen):  # of a row, each frame may show another part
+    if all(one.anchor.count == 1 for one in seen):  # no rows: each frame may show another part of a row
         places, height = np.array([one.place for one in seen]), np.array([one.height for one in seen])
         away = np.linalg.norm(places - np.median(places, axis=0), axis=1) / height
         near = away <= max(FRAMES_APART * GROUND_SD, float(np.median(away)))
@@ -115,12 +121,14 @@ def _vote(seen: Sequence[_OnGround], footing: Footing, window: float) -> AnchorV
 def _height_above(
     places: np.ndarray, cameras: np.ndarray, height: np.ndarray, ground_sd: float
 ) -> tuple[float, float, float]:
-    """How high above the ground something lies that frames place at `places` (N, 3) on the ground, from `cameras`
-    (N, 3) at `height` (N,) above it [all in model units]; one sigma of that by the frames, as a share of the mean
-    height; and the share of the ground's error that is left.
+    """How high above the ground a thing lies [model units]; one sigma of that by the frames, as a share of the mean
+    camera height; and the share of the ground's error that is left in it.
 
-    What lies `h` above the ground is where the rays are at that height, at places + h * ray, and there frames agree:
-    least squares, with the ground's own uncertainty `ground_sd`, as a share of the height, as a prior.
+    places : (N, 3) where the frames place it on the ground. cameras : (N, 3) their camera centres. height : (N,) these
+    above the ground; all [model units]. ground_sd : one sigma of the ground, as a share of the height.
+
+    A thing that is `h` above the ground is at places + h * ray, where all frames agree. So `h` is found by least
+    squares, with the ground's own uncertainty as a prior.
     """
     ray = (cameras - places) / height[:, None]
     mean = float(height.mean())
@@ -136,11 +144,11 @@ def _height_above(
 
 
 def _lines(view: GroundView, anchor: Anchor) -> np.ndarray:
-    """(L, 2, 3) the anchor's lines on the ground below the sparse points [model units]."""
+    """(L, 2, 3) the anchor's lines on the surface below the sparse points [model units]."""
     return view.ground(anchor.lines.reshape(-1, 2)).reshape(-1, 2, 3)
 
 
 def _unit(anchor: Anchor, ground: np.ndarray) -> float:
-    """Model units per pixel where the anchor lies, by its lines in the picture and on the `ground`."""
+    """Model units per pixel at the anchor, by its lines in the picture and on the `ground` (L, 2, 3)."""
     lengths = [float(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()) for lines in (ground, anchor.lines)]
     return lengths[0] / lengths[1]

@@ -1,4 +1,4 @@
-"""The likely cause of a contradiction between the planar and the oblique scale, by the vehicles of both."""
+"""The likely cause of a contradiction between the planar and the oblique scale, by the vehicles measured in both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .drift import CHANCE, NOTABLE
 from .measurement import SelfCalibration
 from .model_drift import trend_of
 
-ODD_HEIGHT = 2.0  # sigmas from the detector's card, from which the height that boxes take in is odd; chance makes 5 %
+ODD_HEIGHT = 2.0  # sigmas from the card at which the boxes' effective height counts as odd; 5 % are, by chance
 
 
 class Cause(Enum):
@@ -28,13 +28,13 @@ def cause(
 ) -> tuple[Cause, str]:
     """The likely cause of a contradiction between two modes, and the sentence that states it.
 
-    apart : (K,) log ratio of the size by the first mode to that by the second, of the vehicles that count in both. plan
-    : (K, 2) their positions on the ground's plane [units]. calibration : of the frames.
+    apart : (K,) log ratio of the size by the first mode to that by the second, of the vehicles that count in both.
+    plan : (K, 2) their positions on the ground's plane [units]. calibration : of the frames.
 
     If both modes give the vehicles in common the same sizes, the other vehicles are the cause. A difference that
-    changes with the position is due to the ground, or to a bent model: neither mode is better. If the fitted heights of
-    vehicles are odd as well, it is the lens: a wrong focal length falsifies the correction for height in flat views,
-    while footprints from above are right. Otherwise, if all vehicles differ equally, it is the boxes.
+    changes with the position is due to the ground, or to a bent model: neither mode is better. Otherwise all vehicles
+    differ alike. If the fitted effective height is odd as well, the cause is the lens: a wrong focal length falsifies
+    the height correction in flat views, while footprints from above are right. If not, it is the boxes.
     """
     count = len(apart)
     if count < MIN_COMMON:

@@ -13,10 +13,10 @@ from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
-FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
-CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
-NOTABLE = 0.01  # relative change across the picture below which nobody need know
-EVEN_SD = 12**-0.5  # one sigma of what is spread evenly over a range of 1 (uniform distribution)
+FEWEST = 40  # vehicles; with fewer, no realistic gradient is significant
+CHANCE = 0.01  # probability of a false alarm where there is no drift; the two tests share it equally
+NOTABLE = 0.01  # relative change across the picture below which a drift is not reported
+EVEN_SD = 12**-0.5  # standard deviation of a uniform distribution over a range of 1
 TO_MEND = "Straighten the input, measure its parts by themselves, or see whether vehicles differ from place to place"
 
 
@@ -24,12 +24,14 @@ TO_MEND = "Straighten the input, measure its parts by themselves, or see whether
 class Drift:
     """How the scale changes over one picture, relative to the whole picture's scale.
 
-    cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], vehicles, relative deviation of the
-        local scale, its one sigma, by which lots may stray included. cell : (2,) size of a cell [px].
+    cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], number of vehicles, relative
+        deviation of the local scale, its one sigma, which includes the variation between lots. cell : (2,) its size
+        [px].
     tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
     direction : of that increase on the ground [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
-    bend : relative range of what a curvature adds to that.
-    p_tilt, p_bend : probability of a gradient, and of a curvature besides it, as large as found, if there were none.
+    bend : relative range of what a curvature adds to the plane.
+    p_tilt, p_bend : p-values of the gradient, and of the curvature beside it: the probability of one as large as found
+        if there were none.
     """
 
     cells: np.ndarray = field(repr=False)
@@ -43,17 +45,17 @@ class Drift:
 
     @property
     def tilts(self) -> bool:
-        """Whether the gradient is more than chance makes, and large enough to matter."""
+        """Whether the gradient is significant, and large enough to matter."""
         return self.p_tilt < CHANCE / 2 and self.tilt >= NOTABLE
 
     @property
     def bends(self) -> bool:
-        """Whether the curvature is."""
+        """Whether the curvature is significant, and large enough to matter."""
         return self.p_bend < CHANCE / 2 and self.bend >= NOTABLE
 
     @property
     def drifts(self) -> bool:
-        """Whether there is a drift: the one decision that every output prints."""
+        """Whether there is a drift; every output uses this decision."""
         return self.tilts or self.bends
 
     @property
@@ -63,7 +65,7 @@ class Drift:
 
     @property
     def warnings(self) -> list[str]:
-        """The remark, if there is one."""
+        """The remark as a list, empty without a drift."""
         return [self.remark] if self.drifts else []
 
     @property
@@ -83,12 +85,13 @@ class Drift:
 
 
 def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale:
-    """`scale` as it holds for any one place of its source, if it differs by `amplitude` (relative) between extremes.
+    """`scale` as it holds at any one place of its source, where the scales of places differ by up to `amplitude`
+    (relative).
 
-    The difference of one place from the mean is one more part of the uncertainty, EVEN_SD of the amplitude, as for a
-    change that is spread evenly; interval and verdict follow. The verdict is at least one step lower where the change
-    is larger than the 90 % interval is wide: then places exclude each other's scale. Where it becomes ``unusable``, no
-    single scale describes the source, and the `warnings` refuse it.
+    How far a place strays from the mean becomes a part of the uncertainty: EVEN_SD of the amplitude, as for a uniform
+    distribution. Interval and verdict follow. Where the amplitude exceeds the width of the 90 % interval, places
+    exclude each other's scale, and the verdict is lowered by one step at least. Where it becomes ``unusable``, no
+    single scale describes the source, and the `warnings` become refusals.
     """
     word = scale.verdict
     if amplitude > 0:
@@ -105,10 +108,10 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float, aspect:
     """The drift of the scale within a picture of `width` x `height` px, or None for fewer than 40 vehicles.
 
     vehicles : the `vehicle_table` of the picture. gsd : [m/px]. aspect : how many times as wide as high a pixel is on
-    the ground; places are compared as they lie there, in square pixels of the same area.
+    the ground; places are converted to square pixels of the same area.
 
-    A plane and a full quadratic are fitted to the means of cells, and judged by how the cells scatter about them
-    (F-tests), vehicles of one lot not being independent (`surface`).
+    A plane and a full quadratic are fitted to the means of cells and tested against the scatter of the cells about them
+    (F-tests). The vehicles of one lot are not taken as independent (`surface`).
     """
     used = vehicles[vehicles["used"]]
     if len(used) < FEWEST:

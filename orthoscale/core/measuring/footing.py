@@ -1,4 +1,4 @@
-"""How low the ground lies on which things stand in a reconstruction, for what is measured there besides vehicles."""
+"""The height of a reconstruction's ground, as found under its vehicles, for whatever else is measured on it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height, where its sparse
-# points alone tell (else `parallax`): on bare ground these scatter by about this much on the two real scenes. Whatever
-# is measured on the ground errs with it.
+# Uncertainty of the height of a reconstruction's ground by its sparse points alone (with vehicles, see `parallax`): one
+# sigma as a share of the camera's height. On bare ground the points of the two real scenes scatter by about this much.
+# It is a relative error of everything that is measured on the ground.
 GROUND_SD = 0.01
 
 
 @dataclass(frozen=True)
 class Footing:
-    """The ground by M boxes of vehicles, as in `parallax.Standing`; without any, that below the sparse points.
+    """The ground under M boxes of vehicles, as in `parallax.Standing`; without boxes, the surface below the sparse
+    points.
 
-    place : (M, 3) of the boxes [units, world]. lower : (M,) how far the ground lies below that of the sparse points
-    there, as a share of the cameras' height. each : (M,) one sigma of that for one place. shared : and for all alike.
-    uneven : one sigma by which that differs from place to place, and reach : from what distance on [units].
+    place : (M, 3) of the boxes on the ground [units, world]. lower : (M,) how far the ground lies below that surface
+    there, as a share of the cameras' height. each : (M,) one sigma of `lower`, without `shared`. shared : one sigma of
+    it common to all places. uneven : one sigma by which `lower` varies from place to place. reach : its correlation
+    length [units].
     """
 
     place: np.ndarray
@@ -36,8 +38,7 @@ class Footing:
         return cKDTree(self.place)
 
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) how much lower the ground is at `place` (N, 3), and (N,) one sigma of that beside `shared`: as it is
-        under the nearest vehicle."""
+        """(N,) `lower` at `place` (N, 3), taken from the nearest vehicle; and (N,) its one sigma, without `shared`."""
         if not len(self.place):
             return np.zeros(len(place)), np.zeros(len(place))
         away, nearest = self._tree.query(place)
@@ -45,10 +46,11 @@ class Footing:
         return self.lower[nearest], np.hypot(self.each[nearest], apart)
 
     def covariance(self, place: np.ndarray) -> np.ndarray:
-        """(N, N) of the errors of `at` at `place` (N, 3) beside `shared`: places that are near each other err alike."""
+        """(N, N) covariance of the errors of `at` at `place` (N, 3), without `shared`: places that are near each other
+        err alike."""
         each = self.at(place)[1]
         alike: np.ndarray = np.exp(-0.5 * (cdist(place, place) / self.reach) ** 2)
         return np.outer(each, each) * alike
 
 
-BY_POINTS = Footing(np.empty((0, 3)), np.empty(0), np.empty(0))  # the ground below the sparse points, as it is
+BY_POINTS = Footing(np.empty((0, 3)), np.empty(0), np.empty(0))  # the surface below the sparse points, uncorrected

@@ -21,12 +21,12 @@ from .systematic import Systematic
 
 @dataclass(frozen=True)
 class Observation:
-    """The sizes that M boxes have on the ground, for the scale that was assumed.
+    """The sizes of M boxes on the ground, at an assumed scale.
 
     size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle on the ground fits
-    the box. ruler : the part of the detector's ruler that `size` still contains, with its uncertainty. systematic : the
-    errors common to all of them. lasting : (M, 2) relative one-sigmas of the sizes that other views of the same vehicle
-    share: from the ground's height under it, and from how high boxes reach at its view.
+    the box. ruler : the part of the detector's ruler that has not been corrected for in `size`, with its uncertainty.
+    systematic : the errors common to all sizes. lasting : (M, 2) relative one-sigmas of the errors that do not average
+    out over the views of one vehicle: from the ground's height under it, and from how high its boxes reach.
     """
 
     size: np.ndarray
@@ -41,8 +41,8 @@ class Observation:
 
 
 def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(2,) by how much the lengths and widths `other` (M, 2) exceed `size` (log, median); 0 where no box has a size of
-    both: the size of a box that no vehicle fits is NaN, or below 0."""
+    """(2,) median log ratio of the lengths and widths `other` (M, 2) to `size` (M, 2), over the boxes that have both; 0
+    without any. A box that no vehicle fits has a size of NaN, or below 0."""
     ok = ((size > 0) & (other > 0)).all(1)
     return np.median(np.log(other[ok] / size[ok]), axis=0) if ok.any() else np.zeros(2)
 
@@ -50,12 +50,13 @@ def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:
 class Geometry(Protocol):
     """M boxes of one source, and their projection onto the ground.
 
-    unit : of its lengths, as of a scale. projection : its name, of `method.VARIANTS_BY_NAME`. boxes : all M that can be
-    measured. called : what they are called in messages. picture : (M,) name of the picture of each. pixel : (M,) ground
-    size of one detector pixel [source units]. place : (M, D) positions [source units]. lost : number of boxes that
-    cannot be measured, by reason. repeated : whether several pictures show the same vehicles, so that boxes in one
-    place are one vehicle. typical_length : median length of the boxes [source units], from which the first scale is
-    estimated. rounds : of measuring and pooling, at most. settled : relative change of the scale at which they end.
+    unit : of the scale ("m/px"). projection : its name, of `method.VARIANTS_BY_NAME`. boxes : all M that can be
+    measured. called : what messages call them. picture : (M,) name of the picture of each. pixel : (M,) ground size of
+    one detector pixel [source units]. place : (M, D) positions [source units]. lost : number of boxes that cannot be
+    measured, by reason. repeated : whether several pictures show the same vehicles, so that boxes in one place are one
+    vehicle. typical_length : median length of the boxes [source units], from which the first scale is estimated.
+    rounds : largest number of rounds of measuring and pooling. settled : relative change of the scale below which they
+    end.
     """
 
     @property
@@ -88,13 +89,13 @@ class Geometry(Protocol):
         ...
 
     def shown(self, place: np.ndarray) -> np.ndarray | None:
-        """(N,) number of processed pictures that have the places (N, D) in view; None where one picture shows all."""
+        """(N,) number of processed pictures that show each place (N, D); None where one picture shows all."""
         ...
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
-        """Other evidence on the scale in the boxes; `vehicles` are the votes without the detector's margin."""
+        """Other evidence of the scale in the boxes; `vehicles` are the votes without the detector's margin."""
         ...
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
@@ -102,5 +103,5 @@ class Geometry(Protocol):
         ...
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """What else the boxes show, beside the scale."""
+        """What the boxes show besides the scale."""
         ...

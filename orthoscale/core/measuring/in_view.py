@@ -1,4 +1,4 @@
-"""Which frames have a place in view: a vehicle should be found in most of them, a false detection rarely twice."""
+"""How many frames show a place: a vehicle should be found in most of them, a false detection is rarely found twice."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..source import PosedSet
 
 
 def looked_at(found: Detections) -> list[str]:
-    """Names of the pictures with any boxes, whether they count or not: those that were certainly processed.
-    Counting all that were swept loses cars that drove between the frames."""
+    """Names of the pictures with any boxes, whether these count or not: those that were certainly processed. Counting
+    all swept pictures instead would reject cars that drove between the frames."""
     every = (found.boxes, found.doubtful, *found.set_aside.values())
     return list(dict.fromkeys(name for some in every for name, boxes in some.items() if len(boxes)))
 
@@ -20,8 +20,8 @@ def looked_at(found: Detections) -> list[str]:
 def frames_in_view(
     source: PosedSet, names: Iterable[str], place: np.ndarray, border: float, lowest_elevation: float
 ) -> np.ndarray:
-    """(N,) number of the frames `names` that show the places (N, 3) [units, world], `border` [px] or more from their
-    edge and at `lowest_elevation` [deg] or steeper. Occlusion is not considered."""
+    """(N,) number of the frames `names` that show each place (N, 3) [units, world], `border` [px] or more from the
+    frame's edge and at an elevation angle of `lowest_elevation` [deg] or more. Occlusion is not considered."""
     count = np.zeros(len(place), int)
     for name in names:
         ray = source.centre(name) - place

@@ -1,4 +1,4 @@
-"""The checks that speak for and against a scale: all that a report shows are made here, with their severity."""
+"""The checks for and against a scale: all that a report shows are made here, with their severity."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .measurement import Measurement
 from .model_drift import ModelDrift
 from .squeeze import SQUEEZE
 
-SAMPLING = 0.02  # one sigma from which more vehicles would help
-ROUGH = 0.06  # relative difference from which no check supports a scale, however little is known
-MANY_REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
-ODD_NAMED = 3  # frames that are named of those that stand out
+SAMPLING = 0.02  # sampling uncertainty (one sigma) above which more vehicles would help
+ROUGH = 0.06  # relative difference above which no check supports a scale, however uncertain that is
+MANY_REJECTED = 0.5  # share of rejected vehicles above which the detections are doubtful
+ODD_NAMED = 3  # how many of the odd frames are named
 CLAIMS = {  # verdict of a claim
     "agrees": (SUPPORT, "Own georeferencing agrees"),
     "doubtful": (CAUTION, "Own georeferencing is doubtful"),
@@ -31,11 +31,11 @@ def judgements(
 ) -> tuple[Judgement, ...]:
     """The checks of the scale of `measured`, the most serious first.
 
-    claim : what its source says of its own scale. remarks : all that there are; by default those of `measured` alone.
+    claim : comparison with the scale that the source claims. remarks : all remarks; by default those of `measured`.
     """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
-    # What a drift has to say, the checks of places and frames say.
+    # The checks `_places` and `_frames` state the drift; its warnings are not repeated as remarks.
     told = () if measured.drift is None else measured.drift.warnings
     remarks = measured.remarks if remarks is None else remarks
     said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
@@ -47,7 +47,7 @@ def _vehicles(measured: Measurement) -> Judgement:
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
     if not used:
         return Judgement(CAUTION, "No vehicles", "the scale rests on objects of standard size alone")
-    sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
+    sampling = scale.parts.get("sampling")  # missing where measurements contradict each other
     few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
     known = "" if sampling is None else f"; sampling error {percent(sampling)} (1 sigma)"
@@ -66,7 +66,7 @@ def _shapes(measured: Measurement) -> Judgement | None:
         return Judgement(severity, "Lengths and widths disagree", detail)
     if abs(difference) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
-    if SQUEEZE in scale.parts:  # where both err, one way along x and the other along y
+    if SQUEEZE in scale.parts:  # both are wrong, in opposite directions along x and along y
         return Judgement(INFO, "Lengths and widths agree on the average of all directions only", detail)
     return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
@@ -77,7 +77,7 @@ def _modes(measured: Measurement) -> Judgement | None:
         return None
     (first, a), (second, b) = agreement.scales.items()
     what = f"{second.capitalize()} and {first} {'disagree' if agreement.contradicts else 'agree'}"
-    # With the signs of the agreement's own sentence, which stands among the remarks.
+    # The same sign convention as in the agreement's own sentence, which is among the remarks.
     by_common = math.expm1(agreement.difference)
     common = f", {signed(by_common)} by the {agreement.common} vehicles of both" if agreement.common else ""
     detail = f"{second} gives {signed(b.value / a.value - 1)}{common} ({agreement.tension:.1f} sigma)"

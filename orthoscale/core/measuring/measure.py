@@ -1,4 +1,4 @@
-"""The measuring loop: boxes are measured on the ground, merged to votes and pooled, until the scale settles."""
+"""The measuring loop: project boxes onto the ground, merge them into votes and pool these, until the scale settles."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ NO_HULL = "no vehicle on the ground gives this box"
 
 
 def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> Measurement:
-    """The scale for which the boxes of `geometry` are vehicles of `fleet`. Raises TooLittleEvidence.
+    """The scale at which the boxes of `geometry` are vehicles of `fleet`. Raises TooLittleEvidence.
 
-    The vehicles' height enters their size on the ground, and so does the scale that is sought: a few rounds of
-    measuring and pooling settle it, for the height's share of a box is small.
+    The size of a box on the ground depends on the vehicle's height, and so on the scale that is sought. The height's
+    share of a box is small, so a few rounds of measuring and pooling suffice.
     """
     method = method or Method()
     boxes = geometry.boxes
@@ -70,6 +70,6 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
 
 
 def doubts(found: Detections) -> dict[str, int]:
-    """Number of boxes that were seen but do not count, by reason."""
+    """Number of boxes that were detected but do not count, by reason."""
     aside = {why: sum(map(len, boxes.values())) for why, boxes in found.set_aside.items()}
     return {UNCONFIRMED: found.unconfirmed, **aside}

@@ -22,13 +22,13 @@ from .model_drift import ModelDrift
 from .systematic import Systematic
 from .vehicles import vehicle_table
 
-LEAST = 0.1  # of a box's side that is taken for the vehicle's at least, however large the margin
+LEAST = 0.1  # share of a box's side that is left as the vehicle's, however large the margin
 
 
 @dataclass(frozen=True)
 class SelfCalibration:
-    """ruler : as fitted to the vehicles' own views. card : as in the detector's card. trends : what remains with either
-    ruler, None for too few views."""
+    """ruler : fitted to the vehicles' own views. card : that of the detector's card. trends : how sizes still change
+    from view to view with either ruler, None for too few views."""
 
     ruler: OwnRuler
     card: OwnRuler
@@ -37,7 +37,10 @@ class SelfCalibration:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the boxes of one geometry show beside the scale, where they can. shared : as in `systematic.Systematic`."""
+    """What the boxes of one geometry show besides the scale; None or empty where they cannot show it.
+
+    shared : as in `systematic.Systematic`.
+    """
 
     calibration: SelfCalibration | None = None
     drift: Drift | ModelDrift | None = None
@@ -48,9 +51,9 @@ class Findings:
 class Pooled:
     """The inputs of pooling other than the votes, the fleet and the method.
 
-    ruler : the part that the votes still contain. systematic : errors common to all sizes, from the source's geometry.
-    noise : (N, 2) one-sigmas of the votes, as shares of their vehicles' sizes (`Measurement.size`). more : evidence on
-    the scale in the boxes themselves. By default that of no votes.
+    ruler : the part of the detector's ruler that has not been corrected for in the votes. systematic : errors common to
+    all sizes, from the source's geometry. noise : (N, 2) one-sigmas of the votes, relative to their vehicles' sizes
+    (`Measurement.size`). more : further evidence of the scale in the boxes themselves. The defaults are for no votes.
     """
 
     ruler: Ruler = Ruler()
@@ -61,14 +64,13 @@ class Pooled:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the vehicles of one source say.
+    """The scale of one source by its vehicles, and what it was computed from.
 
-    boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
+    boxes : all M that were measured. picture : (M,) name of the picture of each. lost : number of boxes that never
     became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
-    projection : how they were seen. found : what they tell besides the scale.
-    pooled : what with.
-    modes : by name, each way in which a posed set was measured; empty for other sources.
-    agreement : of two ways, where there were two. notes : what could not be done.
+    projection : name of the projection used. found : further findings, besides the scale. pooled : the other inputs of
+    pooling. modes : the measurement in each mode of a posed set, by its name; empty for other sources.
+    agreement : of the two modes, where both were measured. notes : what could not be done.
     """
 
     boxes: Boxes
@@ -86,17 +88,17 @@ class Measurement:
 
     @cached_property
     def vehicles(self) -> np.ndarray:
-        """(N,) one row for each of the votes' vehicles, in metres too, see `vehicles.VEHICLE`."""
+        """(N,) one row for each of the votes' vehicles, with its size in metres; see `vehicles.VEHICLE`."""
         return vehicle_table(self.votes, self.size, self.scale, self.boxes, self.picture)
 
     @property
     def drift(self) -> Drift | ModelDrift | None:
-        """How the scale changes from place to place, if there are enough vehicles to tell."""
+        """How the scale changes from place to place; None where that was not measured, or with too few vehicles."""
         return self.found.drift
 
     @property
     def rejected_boxes(self) -> dict[str, int]:
-        """Boxes that never became votes, by reason."""
+        """Number of boxes that never became votes, by reason; reasons without any are left out."""
         return {reason: count for reason, count in self.lost.items() if count}
 
     @property
@@ -106,5 +108,5 @@ class Measurement:
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
-    """(N, 2) sizes of the vehicles behind the votes, less the boxes' `margin` (2,) [detector px]; always positive."""
+    """(N, 2) sizes of the votes' vehicles, less the boxes' `margin` (2,) [detector px]; always positive."""
     return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)

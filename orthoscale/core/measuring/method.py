@@ -18,10 +18,11 @@ from ..scale import Scale
 from ..votes import Votes
 from .surroundings import Standards
 
-# How each projection is done, by the names that the paper gives. For frames; an orthophoto's is always planar.
+# The variant of the decoupled projection by the projection's name, as in the paper; None for the others. Only frames
+# have a choice: an orthophoto's projection is always planar.
 VARIANTS_BY_NAME = {
     "exact": None,
-    "planar": None,  # on the true ground, but without a height
+    "planar": None,  # on the true ground, but for vehicles without height
     "decoupled": decoupled.TEXT,
     "program": decoupled.PROGRAM,
     "naive": decoupled.NAIVE,
@@ -30,13 +31,13 @@ VARIANTS_BY_NAME = {
 
 @dataclass(frozen=True)
 class Method:
-    """projection : of VARIANTS_BY_NAME; None is what fits the source. estimator : ``robust``, or the paper's ``iqr``.
+    """projection : of VARIANTS_BY_NAME; None for the one that fits the source. estimator : ``robust``, or the paper's
+    ``iqr``.
 
-    evidence : what is known of the scale besides the vehicles. anchors : what was found in the pictures.
-    standards : by which parking rows and objects of standard size count, where the boxes show them;
-    None leaves them out. country : ISO code of two letters, by which anchors are told apart; empty where not known.
-    own : a user's standards by kind, which take the place of others.
-    `requests.EstimateRequest` has checked them.
+    evidence : what is known of the scale besides the vehicles. anchors : those found in the pictures. standards : sizes
+    of parking stalls and other objects, so that boxes of these count as well; None leaves them out. country : ISO code
+    of two letters, whose standards anchors follow; empty where not known. own : the user's standards by kind, which
+    replace others. `requests.EstimateRequest` has validated all of this.
     """
 
     projection: str | None = None
@@ -49,7 +50,7 @@ class Method:
 
     @property
     def vehicles_only(self) -> bool:
-        """Whether nothing but vehicles enters the scale: by the paper's estimator."""
+        """Whether only vehicles enter the scale, as with the paper's estimator."""
         return self.estimator == "iqr"
 
     def pool(
@@ -61,7 +62,8 @@ class Method:
         geometry: np.ndarray | None = None,
         more: Sequence[AnchorVote] = (),
     ) -> Scale:
-        """The scale; `more` are anchors that the boxes themselves show."""
+        """The scale. geometry : (2, 2) relative covariance of lengths and widths, of errors common to all sizes.
+        more : anchors that the boxes themselves show."""
         if self.vehicles_only:
             return pool_paper(votes, fleet, unit)
         seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]

@@ -1,7 +1,7 @@
-"""Does one scale hold for the whole model? By frame, by region, and as a trend over the ground.
+"""Whether one scale holds for the whole model: by frame, by region, and as a trend over the ground.
 
-Frames are compared through the vehicles that they share: whatever a vehicle's true size, all frames must give it the
-same. Regions are compared through the fleet: their vehicles differ, so a region says less than its count suggests.
+Frames are compared by the vehicles that they share: all frames must give a vehicle the same size, whatever that is.
+Regions are compared by the fleet: they hold different vehicles, so a region says less than its count suggests.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .drift import CHANCE, NOTABLE
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
-ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
+ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd if it strays by more than both: sigmas, and a share of the scale
 CELLS = 3  # regions across the longer side of the model
 MIN_IN_REGION = 5
 MIN_FOR_TREND, MIN_FOR_BOWL = 12, 24
@@ -26,7 +26,7 @@ MIN_FOR_TREND, MIN_FOR_BOWL = 12, 24
 
 @dataclass(frozen=True)
 class FrameScale:
-    """scale : metres per unit by one frame. sd : one sigma of that. vehicles : that it shares with others."""
+    """scale : metres per unit by one frame. sd : one sigma of that. vehicles : number that it shares with others."""
 
     scale: float
     sd: float
@@ -35,8 +35,8 @@ class FrameScale:
 
 @dataclass(frozen=True)
 class Region:
-    """centre : (2,) of its vehicles on the plan [units]. scale : metres per unit by them. sd : one sigma of that, by
-    which lots may stray included."""
+    """centre : (2,) mean position of its vehicles on the plan [units]. scale : metres per unit by them. sd : one sigma
+    of that, which includes the variation between lots."""
 
     centre: tuple[float, ...]
     scale: float
@@ -46,10 +46,11 @@ class Region:
 
 @dataclass(frozen=True)
 class Trend:
-    """percent_across : by how much the scale changes from end to end. chance : of as much without one (F test).
+    """percent_across : by how much the scale changes from end to end [%]. chance : its p-value (F-test), the
+    probability of as much change without a trend.
 
-    percent_bent : by how much a bowl or a saddle adds to that, bend_chance : of as much without one; a block bent by
-    its self-calibration shows a bowl, a long strip a bend along it. Not known for few vehicles.
+    percent_bent : how much a bowl or saddle adds to the plane [%]. bend_chance : its p-value. A block that its
+    self-calibration has bent shows a bowl, a long strip a bend along it. Not estimated for few vehicles.
     """
 
     percent_across: float
@@ -62,8 +63,9 @@ class Trend:
 class ModelDrift:
     """How the scale changes within a model.
 
-    frames : by name, those that share vehicles with others. odd : those that disagree, worst first, with their stray.
-    regions : of the plan, with vehicles enough. trend : over it, None for too few vehicles.
+    frames : by name, those that share vehicles with others. odd : names of those that disagree, worst first, each with
+    its relative deviation. regions : those of the plan with enough vehicles. trend : over the plan, None for too few
+    vehicles.
     """
 
     frames: Mapping[str, FrameScale]
@@ -73,7 +75,7 @@ class ModelDrift:
 
     @property
     def drifts(self) -> bool:
-        """Whether the trend is more than chance makes, and large enough to matter."""
+        """Whether the trend is significant, and large enough to matter."""
         return self.tilts or self.bends
 
     @property
@@ -90,7 +92,7 @@ class ModelDrift:
 
     @property
     def amplitude(self) -> float:
-        """By how much the scale differs from end to end, relative; 0 where nothing speaks for a drift."""
+        """Relative difference of the scale between its extremes; 0 without a significant drift."""
         if self.trend is None:
             return 0.0
         across, bent = self.trend.percent_across * self.tilts, self.trend.percent_bent * self.bends
@@ -98,7 +100,7 @@ class ModelDrift:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against one scale, in words."""
+        """What speaks against a single scale, in words."""
         remarks = []
         if self.odd:
             worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in self.odd[:5])
@@ -118,10 +120,10 @@ class ModelDrift:
 
 
 def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> ModelDrift:
-    """Per-frame and per-region scale, and the trend.
+    """The scale by frame and by region, and its trend.
 
-    size : (M, 2) of each box. picture : (M,) its frame. votes : of N vehicles. Margins are taken off both.
-    plan : (N, 2) where the votes are.
+    size : (M, 2) of each box [units]. picture : (M,) name of its frame. votes : of N vehicles. Margins are taken off
+    both sizes. plan : (N, 2) positions of the votes on the ground's plane [units].
     """
     frames, odd = by_frame(np.log(np.maximum(size, 1e-12)).mean(1), picture, votes, scale)
     used = scale.used
@@ -134,9 +136,10 @@ def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scal
 def by_frame(
     log_size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale
 ) -> tuple[dict[str, FrameScale], list[tuple[str, float]]]:
-    """Metres per unit by each frame that shares vehicles with others, and the odd ones, worst first, with their stray.
+    """Metres per unit by each frame that shares vehicles with others; and the odd frames, worst first, each with its
+    relative deviation.
 
-    A box strays by its size against the median of the same vehicle's other views.
+    A box's deviation is the log ratio of the median size in the same vehicle's other views to its own size.
     """
     stray = np.full(len(log_size), np.nan)
     for members, counts in zip(votes.members, scale.used, strict=True):
@@ -160,7 +163,8 @@ def by_frame(
 
 
 def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> list[Region]:
-    """Regions with their own scale: `log_scale` (K,), relative to `value`, of vehicles on the `plan` (K, 2)."""
+    """Regions with their own scale. log_scale : (K,) of each vehicle, relative to the scale `value`. plan : (K, 2)
+    their positions [units]."""
     low, extent = plan.min(0), np.maximum(np.ptp(plan, axis=0), 1e-12)
     cell = np.minimum(((plan - low) / (extent.max() / CELLS)).astype(int), CELLS - 1)
     regions = []
@@ -180,10 +184,11 @@ def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> list[Reg
 def trend_of(
     log_scale: np.ndarray, plan: np.ndarray, metres_per_unit: float = 1.0, lots_sd: float = LOTS_SD
 ) -> Trend | None:
-    """A plane, and what a quadric adds to it, through `log_scale` (K,), relative, of vehicles on the `plan` (K, 2).
+    """A plane, and what a quadric adds to it, fitted to the relative `log_scale` (K,) of vehicles on the `plan` (K, 2)
+    [units]; None for too few vehicles.
 
-    The chances are those of F tests against no trend, and against the plane alone, among vehicles whose lots stray by
-    `lots_sd` (`surface`); percents the change over the vehicles. None for too few of these.
+    The p-values are those of F-tests against no trend, and against the plane alone. Lots of vehicles are taken to vary
+    by `lots_sd`, one sigma (`surface`). The percentages are the change between the extremes over the vehicles.
     """
     if len(plan) < MIN_FOR_TREND:
         return None

@@ -1,9 +1,9 @@
 """Objects of a standard size, where a detector has classes for them: courts, containers, buses.
 
 A class may have several standards (20 and 40 foot containers). The ratio of length to width, which needs no scale, says
-how likely each is. Many are too much alike for boxes to tell, so an anchor keeps every standard that its box may be of,
-and the vehicles decide. The measure is the diagonal: where all edges are known equally well it says of the scale all
-that length and width do, and errs independently of their ratio.
+how likely each is. Many are too similar to be told apart by a box, so an anchor keeps every standard that fits its box,
+and the vehicles decide. The diagonal is measured: where all edges are known equally well, it holds all that length and
+width say about the scale, and its error is independent of their ratio.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from ..anchors import Anchor, AnchorVote, Standard
 from ..pooling.anchors import SHARED
 
-EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
+EDGE_SD = 2.0  # one sigma of a box's side around an object [detector px]; assumed, not measured
 ODD_RATIO = 3.0  # sigmas between a box's ratio of sides and a standard's, beyond which it is not that standard
 # Probability that a box of the class and of the right shape is something else (a coach, a garage), or of a size that
-# the table lacks. Judged: no detector's mistakes among such classes were counted.
+# the table lacks. A judgement: no detector's mistakes among such classes were counted.
 OBJECT_FALSE = 0.05
 
 
@@ -40,7 +40,7 @@ def standard_objects(
     likelihood = np.exp(-0.5 * odd**2) / ratio_sd
     metres, units = np.hypot(*sides.T), np.hypot(*size.T)
     rule = np.sqrt(((rule_sd * sides) ** 2).sum(1)) / metres**2
-    # A box errs alike on all its sides, in part.
+    # The errors of a box's sides are common to all of them in part.
     fit = edge_sd / units * np.sqrt(1 + SHARED * 2 * size.prod(1) / units**2)
     votes = []
     for n in np.flatnonzero(odd.min(axis=0) < ODD_RATIO).tolist():

@@ -1,7 +1,7 @@
 """Measures vehicles in the frames of a reconstruction: each box with its own camera, distortion and ground.
 
-The ruler is calibrated meanwhile (`projection.self_calibration`): the height that boxes enclose, and their margin,
-follow from vehicles seen in steep and flat views, near and far.
+The ruler is calibrated at the same time (`projection.self_calibration`): the boxes' effective height and margin follow
+from vehicles seen in steep and flat views, near and far.
 """
 
 from __future__ import annotations
@@ -38,24 +38,25 @@ from .parallax import Standing, standing_in_model
 from .surroundings import Standards, objects_in_model, rows_in_model, world_axes
 from .systematic import of_height
 
-ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
+ROUNDS = 6  # of projection and pooling; the projection depends on the scale only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
-# How high the box of one view encloses a vehicle strays by so much from what it is in the mean, one sigma [m]: sides in
-# the shade are left out in some views, roofs differ. Views of 48 vehicles of `sheffield` stray by 0.15 m in width and
-# 0.18 m in length where they lean by 0.5 to 1, more than their stated sigmas, and heights of cars by 0.18 m.
+# How far the effective height of one view's box strays from its mean, one sigma [m]: sides in the shade are left out in
+# some views, and roofs differ. In views of 48 vehicles of `sheffield` that lean by 0.5 to 1, it strays by 0.15 m in
+# width and 0.18 m in length, more than the stated sigmas; heights of cars vary by 0.18 m.
 VIEW_HEIGHT_SD = 0.25
-LEAST_SIZE = 0.5  # [m] of a vehicle, below which shares of it mean nothing
+LEAST_SIZE = 0.5  # [m] least size of a vehicle that relative errors are taken of
 NO_GROUND = "no ground under the box, or too low an elevation angle"
 CALLED_IN_FRAMES = "boxes on the ground"
 
 
 @dataclass(frozen=True)
 class FramesGeometry:
-    """The common part of a `Geometry` of boxes in `views`, each with its own camera, for any projection.
+    """The `Geometry` of boxes in frames, each with its own camera: the part common to all projections.
 
-    source : of the frames. found : all detections in them. views : of the ground on which the vehicles stand; `stands`
-    is how far below the ground by the sparse points it lies, `footing` what that is for all else.
+    source : of the frames. found : all detections in them. views : of the boxes, on the ground on which the vehicles
+    stand. stands : how far this lies below the surface by the sparse points. footing : the same for everything else
+    that is measured on the ground.
     """
 
     source: PosedSet
@@ -75,7 +76,7 @@ class FramesGeometry:
 
     @classmethod
     def of(cls, source: PosedSet, found: Detections, fleet: Fleet, method: Method) -> ExactGeometry | OtherGeometry:
-        """That of the boxes `found` in the frames of a reconstruction, projected as `method` wants it.
+        """The geometry of the boxes `found` in the frames of a reconstruction, with the projection of `method`.
 
         Raises TooLittleEvidence.
         """
@@ -103,12 +104,12 @@ class FramesGeometry:
 
     @property
     def unit(self) -> str:
-        """The source's own."""
+        """The unit of the source's scale."""
         return self.source.unit
 
     @property
     def place(self) -> np.ndarray:
-        """(M, 3) of the boxes on the ground on which they stand [source units]."""
+        """(M, 3) places of the boxes on the ground on which the vehicles stand [source units]."""
         return self.footing.place
 
     @cached_property
@@ -123,17 +124,17 @@ class FramesGeometry:
 
     @cached_property
     def along(self) -> np.ndarray:
-        """(M, 3) unit vectors of the boxes' long sides, in the world."""
+        """(M, 3) unit vectors along the boxes' long sides, in world coordinates."""
         return world_axes(self.source, self.picture, self.boxes, self.views)
 
     @cached_property
     def card(self) -> OwnRuler:
-        """The ruler that the detector ships."""
+        """The ruler of the detector's card."""
         return card_of(self.found, self.found.ruler.margin, self.found.ruler.margin_sd)
 
     @cached_property
     def leaning(self) -> np.ndarray:
-        """(M, 2) how much of a vehicle's height each box shows, by `height.lean`."""
+        """(M, 2) how much of a vehicle's height each box shows along length and width, from `height.lean`."""
         return lean(self.boxes, self.views)
 
     def seen(self, metres_per_unit: float) -> SeenBoxes:
@@ -156,7 +157,7 @@ class FramesGeometry:
     def _findings(
         self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, ruler: OwnRuler, vehicles: Votes, scale: Scale
     ) -> Findings:
-        """`shipped`, `bare` : (M, 2) sizes by the detector's card, and without the margin."""
+        """shipped : (M, 2) sizes by the detector's card. bare : (M, 2) sizes by `ruler`; both without the margin."""
         ok = seen.solved
         changes = trends(
             shipped[ok], bare[ok], np.degrees(self.views.elevation[ok]), self.pixel[ok], vehicles.counted(scale.used)
@@ -169,7 +170,7 @@ class FramesGeometry:
 
 @dataclass(frozen=True)
 class ExactGeometry(FramesGeometry):
-    """By the exact projection. ruler : the current one, at first that of the card."""
+    """With the exact projection. ruler : the current one; None for that of the card, at first."""
 
     ruler: OwnRuler | None = None
 
@@ -178,16 +179,16 @@ class ExactGeometry(FramesGeometry):
         return self.ruler or self.card
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """The margin comes off the boxes before they are projected."""
+        """Sizes by the current ruler; the margin comes off the boxes before they are projected."""
         ruler, known, seen = self._ruler, self.found.ruler, self.seen(metres_per_unit)
         size, slopes = ruler.size(seen), ruler.slopes(seen)
         solved = np.isfinite(size).all(1)
-        if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that the margin may be all there is
+        if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that they may be nothing but margin
             return Observation(np.full_like(size, np.nan), known)
         by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
         margin_sd = by_margin / per_pixel
-        left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
+        left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # already off
         by_body = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
         shared = self.stands.alike
         if self.source.focal.sd:
@@ -198,7 +199,7 @@ class ExactGeometry(FramesGeometry):
         return Observation(size, left, of_height(by_body, left_of_card).and_shared(shared), lasting)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
-        """With the ruler for which vehicles have one size from all their views."""
+        """The same with the ruler by which vehicles have the same size in all their views."""
         boxes = self.seen(scale.value)[seen.solved]
         return replace(self, ruler=self_calibrated(boxes, votes.counted(scale.used), self.card, self._ruler))
 
@@ -210,11 +211,11 @@ class ExactGeometry(FramesGeometry):
 
 @dataclass(frozen=True)
 class OtherGeometry(FramesGeometry):
-    """By another projection of `method.VARIANTS_BY_NAME`, without an effective height or with one of its own, and by
-    the detector's card."""
+    """With another projection of `method.VARIANTS_BY_NAME`, which uses no effective height or one of its own; and with
+    the ruler of the detector's card."""
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """Boxes as they are, with their margin."""
+        """Sizes of the boxes as they are, with their margin."""
         variant = VARIANTS_BY_NAME[self.projection]
         if variant is None:  # planar
             size = ground_size(self.boxes, self.views, metres_per_unit, Hull(height=FLAT))
@@ -237,8 +238,8 @@ class OtherGeometry(FramesGeometry):
 
 
 def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
-    """(N,) number of the processed frames that show a vehicle at the places (N, 3) as a whole, if it is as large as
-    `boxes` are."""
+    """(N,) number of processed frames that show the whole of a vehicle at each place (N, 3), if it is as large as a
+    typical one of `boxes`."""
     border = float(np.median(boxes.length)) / 2
     return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
@@ -246,16 +247,17 @@ def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np
 def card_of(
     found: Detections, margin: tuple[float, float] = (0.0, 0.0), margin_sd: tuple[float, float] = (0.0, 0.0)
 ) -> OwnRuler:
-    """The ruler that the card of what measured the boxes `found` tells. Without a `margin` that stays in the boxes."""
+    """The ruler of the card of the network that measured the boxes `found`. margin, margin_sd : [detector px]; by
+    default 0, which leaves the margin in the boxes."""
     height_sd = (HEIGHT_SD, HEIGHT_SD)
     return OwnRuler.shipped(found.effective_height, margin, height_sd, margin_sd, BODIES[found.body], found.undercut)
 
 
 def of_each_view(ground: np.ndarray, leaning: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(M, 2) relative one-sigmas of lengths and widths from what is not known of the ground under a vehicle, and of how
-    high the box of one view encloses it: flat views tell less than steep ones.
+    """(M, 2) relative one-sigmas of lengths and widths from the uncertainty of the ground under a vehicle, and of the
+    effective height in one view: flat views are less certain than steep ones.
 
-    ground : (M,) the former. leaning : (M, 2) as by `height.lean`. size : (M, 2) [m].
+    ground : (M,) the former, relative. leaning : (M, 2) from `height.lean`. size : (M, 2) [m].
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.hypot(ground[:, None], VIEW_HEIGHT_SD * leaning / np.maximum(size, LEAST_SIZE))
@@ -264,7 +266,7 @@ def of_each_view(ground: np.ndarray, leaning: np.ndarray, size: np.ndarray) -> n
 def height_share(size: np.ndarray, leaning: np.ndarray, height_sd: float) -> np.ndarray:
     """(2,) relative one-sigmas of lengths and widths from that of the effective height, `height_sd` [units].
 
-    size, leaning : (N, 2) as measured [units], and by `height.lean`.
+    size : (N, 2) as measured [units]. leaning : (N, 2) from `height.lean`.
     """
     if not len(size):
         return np.zeros(2)

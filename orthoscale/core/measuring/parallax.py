@@ -1,9 +1,9 @@
 """The height of the ground from the vehicles' own parallax: a vehicle in several frames lies where their rays meet.
 
-The ground of a reconstruction is a surface fitted below its sparse points. Where these lie on tree crowns and roofs
-only, it is too high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and
-frames that show one from two sides give its distance without any sparse point. So the surface is one measurement of the
-ground's height, the vehicles are another, and the two are combined.
+The ground of a reconstruction is a surface fitted below its sparse points (the sheet). Where these lie on tree crowns
+and roofs only, it is too high: all distances are too short, and the scale comes out too large. Vehicles stand on the
+ground, and frames that show one from two sides give its distance without any sparse point. So the surface is one
+measurement of the ground's height, the vehicles are another, and the two are combined.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from ..source import PosedSet
 from ..votes import SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing
 
-# How far below the sheet the ground is looked for, in heights of the cameras: trees and roofs of 15 m under a flight at
-# 60 m; and above it, where strays below the ground have drawn the sheet down.
+# Range and step of the search for the ground, in camera heights below the sheet. 0.25 below it: trees and roofs of 15 m
+# under a flight at 60 m. 0.06 above it: outliers below the ground may have drawn the sheet down.
 LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.06, 0.005
-COINCIDING = 0.3  # of a vehicle's width: how well places coincide that count in full
-CLEARLY = 1.2, 2.0  # by what factor, and by how many pairs more, places must coincide elsewhere than on the sheet
-FEWEST_STANDING = 3  # vehicles that several frames show, from which they say anything
-BOX_SD = 0.05  # of a vehicle's width, at least, by which the middles of its boxes err from view to view
-# How high over the ground rays through the boxes' middles meet, one sigma of it for all boxes of a model alike, and for
-# one vehicle, as shares of its length: where boxes follow the body from the ground to the waist at 0.8 m, it is 0.4 m,
-# where they follow the waist all around or the roof in part, 0.8 m and more, of 4.5 m.
+COINCIDING = 0.3  # of a vehicle's width: sigma of the Gaussian score of how well two places coincide
+CLEARLY = 1.2, 2.0  # factor and number of pairs by which the score must exceed that of the default depth
+FEWEST_STANDING = 3  # vehicles seen in several frames; fewer are not used
+BOX_SD = 0.05  # least error of the centre of a vehicle's box from view to view, one sigma, of the vehicle's width
+# Height above the ground at which rays through the boxes' centres meet; its one sigma common to all boxes of a model,
+# and for each vehicle; all as shares of a vehicle's length. Where boxes follow the body from the ground to the waist at
+# 0.8 m, it is 0.4 m; where they follow the waist all around, or the roof in part, 0.8 m and more, of 4.5 m.
 MIDDLE, MIDDLE_SD, MIDDLE_EACH = 0.13, 0.06, 0.04
-OUTLYING = 9.0  # times the median square of a residual, from which it says nothing of the noise
-# What a sheet on crowns and roofs is off by, one sigma, everywhere alike and from place to place (one on crops is not),
-# in heights of the cameras; what one on the ground is off by everywhere alike, and how likely the first two are
-# together, beforehand.
+OUTLYING = 9.0  # times the median squared residual, above which a vehicle does not enter the noise estimate
+# Errors of a sheet, one sigma in camera heights: on crowns and roofs, common to all places (TOO_HIGH) and from place to
+# place (UNEVEN; a sheet on crops has only the former); on the ground, common to all places (ON_GROUND). ON_TREES is the
+# prior probability that it is not on the ground.
 TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
-ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
-MOST_COMPARED = 200  # boxes from which is taken how far all err alike
+ALIKE_WITHIN = 0.5  # correlation length of a sheet's errors, in camera heights
+MOST_COMPARED = 200  # boxes by which the error common to all boxes is estimated
 BOXES_AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand vehicles
-LEAST_VARIANCE = 4e-12  # of a place's height, of the reach squared, which rounding leaves
-STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are not of one
+LEAST_VARIANCE = 4e-12  # of a place's height, as a share of the reach squared: the rounding error
+STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are of more than one
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Standing:
     """The ground under M boxes by the surface below the sparse points and by parallax, relative to the cameras'
     heights.
 
-    lower : (M,) how far it lies below that surface; sizes and distances are larger by the same factor. sd : (M,) one
-    sigma of that. shared : the part of it that is common to all boxes, one sigma, which does not average out. vehicles
-    : number of vehicles seen in several frames, 0 if the surface alone is used. trees : probability that the surface
-    lies on other things than the ground.
+    lower : (M,) how far the ground lies below that surface; sizes and distances are larger by the same share. sd : (M,)
+    one sigma of `lower`. shared : the part of `sd` that is common to all boxes, which does not average out.
+    vehicles : number of vehicles seen in several frames, 0 if the surface alone is used. trees : probability that the
+    surface does not lie on the ground.
     """
 
     lower: np.ndarray
@@ -62,19 +62,19 @@ class Standing:
 
     @property
     def each(self) -> np.ndarray:
-        """(M,) the part of `sd` that is not `shared`."""
+        """(M,) the part of `sd` that is not common to all boxes."""
         return np.sqrt(np.maximum(self.sd**2 - self.shared**2, 0.0))
 
     @property
     def alike(self) -> dict[str, np.ndarray]:
-        """The error of lengths and widths that follows from `shared`, as in `Systematic.shared`."""
+        """The error of all lengths and widths that follows from `shared`, as in `Systematic.shared`."""
         return {"ground": np.full(2, self.shared)}
 
 
 def standing_in_model(
     source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray
 ) -> tuple[Standing, Footing]:
-    """The ground under M boxes, and what it is for all else; `Footing.place` are the boxes' places on it.
+    """The ground under M boxes; and the same as a `Footing`, whose `place` are the boxes' places on that ground.
 
     picture : (M,) name of the frame of each. place : (M, 3) where the ray through its centre meets the ground of
     `source`. size : (2,) typical length and width of a vehicle [units].
@@ -100,9 +100,9 @@ def standing(
 ) -> Standing:
     """The ground under the vehicles in M boxes.
 
-    place, foot : (M, 2) on the surface's plane, where the ray through the box's centre meets it, and below the camera.
-    above : (M,) the camera's height over the surface there. picture : (M,) name of the frame of each box. size :
-    typical length and width of a vehicle. sd : (M,) one sigma of the surface's height; all [units].
+    place : (M, 2) where the ray through the box's centre meets the surface, on its plane. foot : (M, 2) the point below
+    the camera. above : (M,) the camera's height over the surface at `place`. picture : (M,) name of each box's frame.
+    size : typical length and width of a vehicle. sd : (M,) one sigma of the surface's height. All lengths in [units].
     """
     offset = (place - foot) / above[:, None]
     height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
@@ -123,7 +123,8 @@ def standing(
 
 @dataclass(frozen=True)
 class _SeenVehicles:
-    """K vehicles seen in several frames: place (K, 2), how far below the surface they stand, and its variance."""
+    """K vehicles seen in several frames: place (K, 2) [units]; how far below the surface they stand (K,) [units], and
+    its variance (K,)."""
 
     place: np.ndarray
     lower: np.ndarray
@@ -131,7 +132,7 @@ class _SeenVehicles:
 
 
 def _cells(place: np.ndarray, side: float) -> list[np.ndarray]:
-    """Indices of the places in each square of a grid; all in one where one holds them."""
+    """Indices of the places in each occupied square of a grid. side : of a square [units]."""
     number = np.floor((place - place.min(0)) / side).astype(int)
     _, cell = np.unique(number, axis=0, return_inverse=True)
     return [np.flatnonzero(cell.ravel() == k) for k in range(cell.max() + 1)]
@@ -140,8 +141,8 @@ def _cells(place: np.ndarray, side: float) -> list[np.ndarray]:
 def _search(
     place: np.ndarray, offset: np.ndarray, picture: np.ndarray, tried: np.ndarray, usual: float, width: float
 ) -> float:
-    """The depth below the surface, of those `tried`, at which boxes of different frames coincide best; `usual` if that
-    is hardly better."""
+    """The depth below the surface, of those `tried`, at which boxes of different frames coincide best; `usual` if no
+    other is clearly better."""
     _, frame = np.unique(picture, return_inverse=True)
     tried = np.r_[usual, tried[np.argsort(np.abs(tried - usual), kind="stable")]]
     scores = []
@@ -157,7 +158,7 @@ def _search(
 def _triangulated(
     place: np.ndarray, offset: np.ndarray, picture: np.ndarray, start: np.ndarray, width: float
 ) -> _SeenVehicles:
-    """Vehicles seen in several frames, found where boxes coincide at `start` (M,) below the surface."""
+    """Vehicles seen in several frames: groups of boxes that coincide at the depth `start` (M,) below the surface."""
     at = place + start[:, None] * offset
     labels = same_place(at, SAME_PLACE * width)
     rows, left = [], []
@@ -169,7 +170,7 @@ def _triangulated(
         lever = float((o**2).sum())
         if lever <= 0:
             continue
-        lower = -float((o * p).sum()) / lever  # place + lower * offset is one place, as nearly as can be
+        lower = -float((o * p).sum()) / lever  # the depth at which place + lower * offset coincide best
         left.append((float(((p + lower * o) ** 2).sum()), 2 * len(mine) - 3))
         rows.append((*(place[mine] + lower * offset[mine]).mean(0), lower, lever))
     if not rows:
@@ -184,10 +185,10 @@ def _triangulated(
 
 @dataclass(frozen=True)
 class _Error:
-    """What a surface may be off by: a Gaussian process over the places on it.
+    """A model of the error of a surface's height: a Gaussian process over the places on it.
 
-    common, uneven : one sigma of it everywhere alike and from place to place. reach : distance over which what differs
-    from place to place is alike; all [units].
+    common : one sigma of the error common to all places. uneven : of the error that varies from place to place.
+    reach : its correlation length; all [units].
     """
 
     common: float
@@ -195,12 +196,12 @@ class _Error:
     reach: float
 
     def covariance(self, a: _Spots, b: _Spots) -> np.ndarray:
-        """(M, N) of the errors at `a` (M) and `b` (N)."""
+        """(M, N) covariance of the errors at `a` (M) and `b` (N)."""
         squared = cdist(a.place, b.place, "sqeuclidean") / self.reach**2
         return self.common**2 + (np.outer(a.sd, b.sd) + self.uneven**2) * np.exp(-0.5 * squared)
 
     def known(self, at: _Spots, lower: np.ndarray, noise: np.ndarray, boxes: _Spots) -> _GroundBelow:
-        """The error at `boxes` (M), where at K places it was seen to be `lower` (K,) with the covariance `noise`."""
+        """The error at `boxes` (M), given that `lower` (K,) was measured `at` K places, with covariance `noise`."""
         whole = lu_factor(self.covariance(at, at) + noise)
         mean, told = np.empty(len(boxes.sd)), np.empty(len(boxes.sd))
         for begin in range(0, len(boxes.sd), BOXES_AT_ONCE):
@@ -219,7 +220,7 @@ class _Error:
 
 @dataclass(frozen=True)
 class _Spots:
-    """Places (N, 2) on the surface's plane, and one sigma of its height there (N,) [units]."""
+    """N places on the surface's plane. place : (N, 2). sd : (N,) one sigma of the surface's height there; [units]."""
 
     place: np.ndarray
     sd: np.ndarray
@@ -230,8 +231,9 @@ class _Spots:
 
 @dataclass(frozen=True)
 class _GroundBelow:
-    """How far the ground lies below the surface at M boxes, mean (M,) and variance (M,); the part of the variance that
-    all share, and the logarithm of how probable this error makes what was seen."""
+    """How far the ground lies below the surface at M boxes: mean (M,) and variance (M,). alike : the part of the
+    variance that is common to all. evidence : log probability of the measurements under this error model, up to a
+    constant."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -242,8 +244,9 @@ class _GroundBelow:
 def _combined(
     seen: _SeenVehicles, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
 ) -> Standing:
-    """The surface and the vehicles combined, for the boxes at `place`. The surface lies on the ground, or is too high,
-    by the same everywhere or by more here than there: each case as likely as it makes what was seen."""
+    """The surface and the vehicles combined, for the boxes at `place`. The surface lies on the ground, or is too high
+    by the same amount everywhere, or by varying amounts. The cases are averaged, weighted by their posterior
+    probabilities."""
     boxes = _Spots(place, sd)
     stray = np.abs(seen.lower - np.median(seen.lower))
     spread = ROBUST_SD * float(np.median(stray))
@@ -269,5 +272,5 @@ def _combined(
 
 
 def _of_sheet(sd: np.ndarray) -> Standing:
-    """The ground by the surface alone, whose height has the one-sigma `sd` (M,) at each place [camera heights]."""
+    """The ground by the surface alone, whose height has the one sigma `sd` (M,) at each place [camera heights]."""
     return Standing(np.zeros(len(sd)), np.hypot(sd, GROUND_SD))

@@ -1,7 +1,7 @@
 """The pitch of parking rows: vehicles side by side repeat at the width of a stall, which each country standardises.
 
-It uses the boxes alone. In a row, the lateral distances between vehicles are multiples of one pitch, up to how askew
-they are parked. Where that pitch is found, it measures the scale independently of the vehicles' sizes.
+Only the boxes are used. In a row, the lateral distances between vehicles are multiples of one pitch, apart from how
+inaccurately they are parked. Where that pitch is found, it gives the scale independently of the vehicles' sizes.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ import numpy as np
 from ..anchors import BAYS, Anchor, AnchorVote, Standard
 from ..fleet import WORLD
 
-PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
-ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
+PARALLEL = np.cos(np.radians(7))  # vehicles of one row have the same heading, or the opposite one
+ASKEW = 0.25  # of a length: how far one neighbour may stand ahead of the other
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
-STALLS_COMPARED = 6  # over which distances are compared; parking jitter does not grow with them, an error of pitch does
-NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
+STALLS_COMPARED = 6  # largest distance compared: the pitch's error grows with it, parking jitter does not
+NEIGHBOURS = 256  # most neighbours within that reach: twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
-MIN_IN_ROWS = 8  # in rows, below which no pitch is read
-# Mean of cos(2 pi distance / pitch) from which distances count as multiples of the pitch: 0.9 for vehicles that stand
-# within 0.12 m of their stall's middle, 0 for vehicles anywhere.
+MIN_IN_ROWS = 8  # vehicles in rows, below which no pitch is measured
+# Mean of cos(2 pi distance / pitch) above which distances count as multiples of the pitch: 0.9 for vehicles that stand
+# within 0.12 m of their stall's middle, 0 for vehicles at random places.
 RHYTHM = 0.7
 AT_ONCE = 4096  # vehicles or distances that are worked on at a time, in some 10 MB
-# How far the stalls of one place, all alike, stray from their country's standard, one sigma [m]: the sourced rows name
-# 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. With the table's own sigma that is 0.17 m or
-# more; all figures that its sources name differ from their rows' by as much: by 0.23 m rms those 37 that do, by 0.18
-# with the 26 that do not. More where the standard was only recalled, as half of those were that the world's row is made
-# of: rows differ by 0.09 m (one sigma), which with 0.23 is 0.25.
+# How far the stalls of one place differ, all together, from their country's standard, one sigma [m]: the sourced rows
+# of the table give 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. With the table's own sigma
+# that makes 0.17 m or more. The figures that the table's sources name differ from their rows by about as much:
+# the 37 that differ at all by 0.23 m rms, together with the 26 that do not by 0.18. RECALLED_SD is for standards that
+# were only recalled; half of those behind the world's row were. Rows differ by 0.09 m (one sigma), which with 0.23 is
+# 0.25.
 PLACE_SD = 0.15
 RECALLED_SD = 0.25
 
@@ -42,11 +43,12 @@ def parking_pitch(
     country: str,
     min_vehicles: int = MIN_IN_ROWS,
 ) -> AnchorVote | None:
-    """The pitch of parking rows, an anchor; None where no rows show one, or `country` has no standard.
+    """The pitch of parking rows, as an anchor; None where no rows show one, or `country` has no standard.
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
-    [m]. country : ISO code, or the key of a row; ``WORLD`` means any country, and the pitch may then be that of each.
+    [m]. country : ISO code, or the key of a row; for ``WORLD`` the pitch may follow any row's standard.
+    min_vehicles : in rows, below which no pitch is measured.
     """
     rules = [key for key, stall in stalls.items() if country in (WORLD, key, *stall.get("countries", ()))]
     if not rules or len(place) < min_vehicles:
@@ -59,14 +61,14 @@ def parking_pitch(
     rhythm = _rhythm_of_rows(row[:, 0], distance, candidates)
     together = rhythm.sum(0)
     pitch = float(candidates[np.argmax(together)])
-    # Neighbours alone always have a mean distance; only those further apart show whether it repeats.
+    # Next neighbours always have some mean distance; only vehicles further apart show whether it repeats.
     apart = distance > PITCHES[1] * width
     fits = np.cos(2 * np.pi * distance / pitch)
     repeats = apart.any() and min(fits[apart].mean(), fits[~apart].mean()) > RHYTHM
     vehicles = len(np.unique(row[:, 1:]))
     if vehicles < min_vehicles or not repeats or not candidates[0] < pitch < candidates[-1]:
         return None
-    # How far the pitch moves when one row is left out (Tukey's jackknife); one row alone says nothing of that.
+    # How far the pitch moves when one row is left out (Tukey's jackknife), which needs at least two rows.
     left_out = candidates[np.argmax(together - rhythm, axis=1)]
     spread = np.std(np.log(left_out)) * np.sqrt(len(rhythm) - 1) if len(rhythm) > 1 else 0.0
     step = np.log(candidates[1] / candidates[0])
@@ -78,13 +80,14 @@ def parking_pitch(
 
 
 def documented(key: str, stall: Mapping[str, Any]) -> bool:
-    """Whether a rule was found that gives the width in the row `key` of the table."""
+    """Whether the width in the row `key` of the table comes from a rule that was found, and not from memory."""
     return key != WORLD and not stall["source"].startswith("recalled")
 
 
 def _standard(key: str, stall: Mapping[str, Any]) -> Standard:
-    """Of stalls that only vehicles show. Rules give the least width ("at least" in ten rows of the table), and no
-    document says how much wider a place built them: `PLACE_SD` is judged, so this improves no verdict."""
+    """The standard of stalls that only the vehicles in them show. Rules give the least width ("at least" in ten rows of
+    the table), and no document says how much wider a place built them: `PLACE_SD` is a judgement, so this improves no
+    verdict."""
     own = np.hypot(stall["width_sd"], PLACE_SD if documented(key, stall) else RECALLED_SD)
     return Standard(
         "stalls, by the vehicles in them",
@@ -97,9 +100,10 @@ def _standard(key: str, stall: Mapping[str, Any]) -> Standard:
 
 
 def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """(R, C) sum over each row's distances of how well they are multiples of each candidate, -1 to 1 apiece.
+    """(R, C) how well the distances in each of R rows are multiples of each of C candidate pitches: the sum over the
+    row's distances, each of which contributes -1 to 1.
 
-    row : (P,) number of the row that has each distance (P,), R different ones.
+    row : (P,) number of the row to which each distance (P,) belongs.
     """
     from scipy.sparse import csr_array
 
@@ -118,14 +122,14 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # One vehicle of those that are said to stand in the very same place; a tree could not tell them apart.
+    # Of vehicles at exactly the same place one is kept; the tree could not tell them apart.
     single = np.sort(np.unique(place, axis=0, return_index=True)[1])
     tree = cKDTree(place[single])
     reach = STALLS_COMPARED * PITCHES[1] * width
     parts = []
     for k in range(0, len(single), AT_ONCE):
         i = single[k : k + AT_ONCE]
-        near, j = tree.query(place[i], np.arange(1, NEIGHBOURS + 2), distance_upper_bound=reach)  # itself is the first
+        near, j = tree.query(place[i], np.arange(1, NEIGHBOURS + 2), distance_upper_bound=reach)  # the first is itself
         pair, _ = np.nonzero(np.isfinite(near))
         parts.append(_side_by_side(i[pair], single[j[np.isfinite(near)]], place, along, length))
     i, j, across = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -139,8 +143,8 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
 def _side_by_side(
     i: np.ndarray, j: np.ndarray, place: np.ndarray, along: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the pairs (i, j) those, each once, that head alike and stand beside each other, and how far across [units]:
-    as seen by both, along the middle of their headings, since which of them comes first is chance."""
+    """Those of the pairs (i, j), each once, that are parallel and stand beside each other; and their distance across
+    [units]. Across is perpendicular to the mean of both headings, so the order of a pair does not matter."""
     i, j = i[i < j], j[i < j]
     apart = place[j] - place[i]
     alike = (along[i] * along[j]).sum(1)

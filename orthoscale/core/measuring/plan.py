@@ -1,4 +1,4 @@
-"""Measures vehicles in a plan: an orthophoto shows footprints, so a box less its margin is a vehicle."""
+"""Measures vehicles in a plan: an orthophoto shows footprints, so a box less its margin has the size of a vehicle."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from .surroundings import Standards, objects_in_plan, rows_in_plan
 from .systematic import Systematic
 from .vehicles import vehicle_table
 
-# Relative one-sigma of sizes, for each unit of log aspect of the plan's pixels, beyond what `ground_size` puts right: a
-# vehicle at an angle is no rectangle there, and the networks have not seen any like that. Four orthophotos warped to
-# degrees (aspects of 0.53 to 0.87) then err by 0.1 of it.
+# Relative one-sigma of sizes per unit of log aspect of the plan's pixels: the error that `ground_size` leaves. In
+# pixels that are not square, a vehicle at an angle is not a rectangle, and the networks were not trained on such
+# shapes. Four orthophotos warped to degrees (aspects of 0.53 to 0.87) are left with an error of 0.1 per unit.
 SQUEEZED_SD = 0.15
 
 
 @dataclass(frozen=True)
 class PlanGeometry:
-    """A `Geometry` whose units are the plan's pixels, if these were square.
+    """A `Geometry` whose unit is the plan's pixel; if pixels are not square, a square one of the same area.
 
     size : width and height of the plan [px]. aspect : how many times as wide as high a pixel is on the ground.
-    objects : boxes of other classes than vehicles, by class. zoom : detector pixels per pixel.
+    objects : boxes of other classes than vehicles, by class. zoom : detector pixels per picture pixel.
     """
 
     boxes: Boxes
@@ -55,7 +55,7 @@ class PlanGeometry:
 
     @classmethod
     def of(cls, source: Plan, found: Detections) -> PlanGeometry:
-        """That of the boxes `found` in an orthophoto."""
+        """The geometry of the boxes `found` in an orthophoto."""
         boxes = found.boxes.get(source.name, Boxes.empty())
         return cls(
             boxes=boxes,
@@ -71,12 +71,12 @@ class PlanGeometry:
 
     @property
     def pixel(self) -> np.ndarray:
-        """(M,) picture pixels of one detector pixel, the same everywhere."""
+        """(M,) picture pixels per detector pixel, the same everywhere."""
         return np.full(len(self.boxes), 1 / self.zoom)
 
     @property
     def place(self) -> np.ndarray:
-        """(M, 2) where the boxes stand [px of the picture]."""
+        """(M, 2) centres of the boxes [px of the picture]."""
         return self.boxes.centre
 
     @property
@@ -85,17 +85,17 @@ class PlanGeometry:
         return float(np.median(self.boxes.length))
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """Boxes as they are, on square pixels."""
+        """The sizes of the boxes as they are, in square pixels."""
         left = SQUEEZED_SD * abs(math.log(self.aspect))
         return Observation(ground_size(self.boxes, self.aspect), self.ruler, Systematic(np.array([left, left])))
 
     def shown(self, place: np.ndarray) -> None:
-        """None: the plan shows all."""
+        """None: the one picture shows every place."""
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
-        """Rows of parked vehicles, and objects of standard size; none where pixels are not square."""
+        """Rows of parked vehicles, and objects of standard size; nothing where pixels are not square."""
         if self.aspect != 1:
             return []
         along = np.stack([np.cos(self.boxes.angle), np.sin(self.boxes.angle)], -1)

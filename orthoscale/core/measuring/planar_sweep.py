@@ -1,8 +1,7 @@
 """Measures vehicles in frames warped onto the ground (planar), as if they were an orthophoto.
 
-This is the paper's orthophoto method without an orthophoto, and a measurement independent of `oblique`: it shares
-neither the projection nor the pictures. A plan shows footprints; the relief displacement that remains near the nadir is
-removed.
+This is the paper's orthophoto method without an orthophoto, and independent of `oblique`: the two share neither the
+projection nor the pictures. A plan shows footprints; the relief displacement that remains near the nadir is removed.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
 from .systematic import of_height
 
-SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
-ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
+SWEEP_ROUNDS = 3  # height contributes a few percent of a box's size, and the scale enters only there
+ROOM = 1.15  # a box enlarged by this factor must lie within the frame, or the vehicle may be cut off
 BORDER = 2.0  # [px of the frame]
-# All pictures of the ground have one size of pixels, whatever height their frames were taken from. What is enlarged in
-# them looks blurred, and its boxes come out too wide: where a frame is enlarged 2.1 times, three cars on `boruszyn` are
-# 20 % wider than where it was hardly. Half an octave, as far as the two detection passes are apart.
+# All ground pictures have the same pixel size, whatever height their frames were taken from. A frame that is enlarged
+# looks blurred, and its boxes come out too wide: where a frame is enlarged 2.1 times, three cars on `boruszyn` are 20 %
+# wider than where it hardly is. The limit is half an octave, the distance between the two detection passes.
 MOST_ENLARGED = 2**0.5
 TOO_COARSE = "seen from so far away that the picture of the ground is blurred"
 TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
@@ -47,12 +46,12 @@ CALLED_ABOVE = "boxes near the nadir"
 
 @dataclass(frozen=True)
 class SweepGeometry:
-    """A `Geometry` of boxes in plans of the ground, each under one camera.
+    """A `Geometry` of boxes in ground pictures, each picture from one camera.
 
-    flat : (M, 2) sides of the boxes [model units]. offset : (M, 2) how far they lie from below the camera, along these
-    and across, and camera : (M, 1) its height over the ground, in which `offset` is measured [model units].
-    along : (M, 3) unit vectors of the long sides, in the world. stands, footing : the ground under them, and what it is
-    for all else.
+    flat : (M, 2) sides of the boxes on the ground [model units]. offset : (M, 2) from the point below the camera to the
+    box, along its long and its short side, in camera heights. camera : (M, 1) that height over the ground [model
+    units]. along : (M, 3) unit vectors along the long sides, in world coordinates. focal_sd : relative one-sigma of the
+    focal length. stands : the ground under the boxes. footing : the same for everything else that is measured on it.
     """
 
     source: PosedSet
@@ -76,7 +75,7 @@ class SweepGeometry:
 
     @classmethod
     def of(cls, source: PosedSet, found: Detections) -> SweepGeometry:
-        """That of the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
+        """The geometry of the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
         pictures = {picture.name: picture for picture in source.ground_pictures}
         lost = {**doubts(found), TOO_FLAT: 0, TOO_COARSE: 0}
         parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
@@ -121,12 +120,12 @@ class SweepGeometry:
 
     @property
     def unit(self) -> str:
-        """The source's own."""
+        """The unit of the source's scale."""
         return self.source.unit
 
     @property
     def place(self) -> np.ndarray:
-        """(M, 3) of the boxes on the ground on which they stand [source units]."""
+        """(M, 3) places of the boxes on the ground on which the vehicles stand [source units]."""
         return self.footing.place
 
     @property
@@ -135,7 +134,7 @@ class SweepGeometry:
         return float(np.median(self.flat[:, 0]))
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """Sizes of the boxes less the part due to the vehicles' height."""
+        """Sizes of the boxes, less the part due to the vehicles' height."""
         ruler = card_of(self.found)
         size, by_body = ruler.told(self._seen(metres_per_unit))
         by_focal = {}
@@ -147,8 +146,8 @@ class SweepGeometry:
         return Observation(size, self.found.ruler, systematic, lasting)
 
     def _seen(self, metres_per_unit: float, ratio: float = 1.0) -> SeenBoxes:
-        """The boxes along their own axes, as a camera that looks straight down sees them, whose pixels are units there,
-        by a focal length `ratio` times as long and a camera so much higher."""
+        """The boxes in their own axes, as seen by a camera that looks straight down and whose pixels are model units on
+        the ground; with a focal length `ratio` times as long and a camera `ratio` times as high."""
         camera = self.camera * ratio
         ground = np.concatenate([self.offset / ratio * camera, camera], 1)
         lens = camera[:, :, None] * np.eye(2)
@@ -157,7 +156,7 @@ class SweepGeometry:
         return SeenBoxes(boxes, Views(ground, np.tile([0.0, 0.0, -1.0], (len(camera), 1)), lens), 1.0, metres_per_unit)
 
     def shown(self, place: np.ndarray) -> np.ndarray:
-        """(N,) number of frames that show the places (N, 3) from near the nadir."""
+        """(N,) number of frames that show each place (N, 3) from near the nadir."""
         pictures = {picture.name: picture for picture in self.source.ground_pictures}
         images = [pictures[name].image for name in looked_at(self.found) if name in pictures]
         border = float(np.median(self.boxes.length)) / 2
@@ -174,12 +173,12 @@ class SweepGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """None: the frames themselves show more."""
+        """Nothing: the frames themselves show more."""
         return Findings()
 
 
 def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
-    """(N, 2) the vectors `offset` (N, 2), in pictures' axes, along the boxes' long sides and across."""
+    """(N, 2) the vectors `offset` (N, 2), given in picture axes, in the axes of the boxes' long and short sides."""
     heading = _heading(boxes)
     across = np.stack([-heading[:, 1], heading[:, 0]], -1)
     return np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1)
@@ -191,8 +190,8 @@ def _heading(boxes: Boxes) -> np.ndarray:
 
 
 def _whole(picture: GroundView, boxes: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N,) bool, boxes that the frame shows whole and steeply enough; (N,) bool, those that are hardly enlarged; and
-    (N, 2) where they lie, see `seen`."""
+    """(N,) bool, boxes that the frame shows whole and steeply enough; (N,) bool, boxes where the frame is not enlarged
+    by more than MOST_ENLARGED; and (N, 2) their offsets from below the camera, see `GroundView.seen`."""
     centre = boxes.centre[:, None]
     corners = (centre + ROOM * (boxes.corners - centre)).reshape(-1, 2)
     with np.errstate(invalid="ignore"):

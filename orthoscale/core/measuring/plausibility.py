@@ -1,7 +1,7 @@
-"""Whether boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or doubted.
+"""Whether boxes can be vehicles at all: any boxes give some scale, so implausible ones are refused or doubted.
 
-Implausible are boxes of an orthophoto that overlap, lie in no order, are all of one length, or are seldom found by both
-detection passes; or lie on pixels that are not square.
+Boxes of an orthophoto are implausible if they overlap, have no common directions, all have the same length, are seldom
+found by both detection passes, or lie on pixels that are not square.
 """
 
 from __future__ import annotations
@@ -16,42 +16,42 @@ from ..scale import Scale
 from ..verdicts import AT_BEST_DOUBTED, UNUSABLE, one_step_below, worst
 from .squeeze import SQUEEZE, Squeeze, squeeze
 
-NEAREST = 5  # boxes that are looked at around each; more than that near one another stand in one another anyway
-# Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
-# five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
-# they cover 8 % of the picture, and 84 % where they cover it all.
+NEAREST = 5  # neighbours that are tested for each box; where more are near, some of these overlap anyway
+# Share of overlapping vehicles above which these are more than occasional mistakes. Of the 4,649 labelled vehicles of
+# five places, 0.0 to 0.16 % have their centre in another one's box; of random boxes of the size of vehicles, 9 % where
+# they cover 8 % of the picture, and 84 % where they cover all of it.
 IN_ONE_ANOTHER = 0.1
-LEAST_USED = 20  # vehicles below which one pair is no share
+LEAST_USED = 20  # vehicles below which a single pair would be too large a share
 
-NEAR = 3.0  # lengths of a vehicle from middle to middle within which the nearest one is a neighbour
-LEAST_PAIRS = 30  # neighbours below which chance may look like order, and nothing is said
-# Mean cosine of four times the angle between neighbours, 1 where all are parallel or across, 0 by chance. Eight
-# orthophotos of known scale and 109 parts of them with 25 pairs and more have 0.54 to 0.98, 67 labelled pictures with
-# 15 and more 0.68 to 1; of 4,000 sets of random boxes with 30 pairs one in a thousand reaches it.
+NEAR = 3.0  # vehicle lengths between centres within which the nearest vehicle is a neighbour
+LEAST_PAIRS = 30  # pairs of neighbours below which chance may look like order, and the check is skipped
+# Least mean cosine of four times the angle between neighbours: 1 where all are parallel or perpendicular, 0 by chance.
+# Eight orthophotos of known scale and 109 parts of them with 25 pairs or more have 0.54 to 0.98, 67 labelled pictures
+# with 15 or more 0.68 to 1; of 4,000 sets of random boxes with 30 pairs, one in a thousand reaches 0.35.
 ALIGNED = 0.35
 
-SQUEEZED_SIGMAS = 3.0  # from square pixels, from which chance no longer makes them look squeezed
-NOTABLE_SQUEEZE = 0.05  # log aspect below which nobody need know
-# Log aspect from which no scale is fair: lengths along the axes err by half of it, by 6 % rms over all directions.
+SQUEEZED_SIGMAS = 3.0  # deviation from square pixels at which it is significant
+NOTABLE_SQUEEZE = 0.05  # log aspect below which it is not reported
+# Log aspect above which no scale is fair: lengths along the axes err by half of it, by 6 % rms over all directions.
 FAR_SQUEEZED = 0.17
 
-LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
-# Share of larger vehicles (`Scale.larger_share`) from which they are such a sign. Twelve orthophotos of known scale
-# have up to 0.23, and 0.21 where so few boxes count; of 351 rendered towns full of look-alikes the eight that were
-# refused for it had 0.245 to 0.55 (`benchmarks/zoom_search.py`, 2026-11-24).
+LEAST_SEEN = 20  # boxes, counting or not, below which their share says little
+# Share of larger vehicles (`Scale.larger_share`) above which a scale by few of the boxes is refused. Twelve orthophotos
+# of known scale have up to 0.23, and up to 0.21 where so few boxes count; of 351 rendered towns full of look-alikes,
+# the eight that were refused for it had 0.245 to 0.55 (`benchmarks/zoom_search.py`, 2026-11-24).
 MANY_LARGER = 0.23
-# Share of the boxes that count, below which these must agree, and how well (`Scale.half_width`). 99 real pictures
-# (places, quarters, chips) have a share of 0.2 or more. Of rendered towns of look-alikes with less than 0.1 those with
-# the right scale are known to 0.04; one known to 0.09 was 22 % too large (2026-11-26).
+# Share of boxes that count below which these must agree well, and how well (`Scale.half_width`). 99 real pictures
+# (places, quarters, chips) have a share of 0.2 or more. Of rendered towns of look-alikes with less than 0.1, those with
+# the right scale have a half-width of 0.04; one with 0.09 was 22 % too large (2026-11-26).
 HARDLY_ANY = 0.1
 AGREEING = 0.06
 INSPECT = "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)"
 
 
 def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -> Scale:
-    """`scale`, with a remark on each check by which its `boxes` (N, of one picture) may not be vehicles.
+    """`scale`, with a remark for each check that its `boxes` (N, of one picture) fail.
 
-    scale : by all of `boxes`, of which it uses some. uncounted : number of boxes that were seen and do not count.
+    scale : from `boxes`, of which it uses some. uncounted : number of boxes that were detected but do not count.
     aspect : how many times as wide as high pixels are taken to be.
     """
     used = boxes[scale.used]
@@ -61,7 +61,7 @@ def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, refused if the vehicles that it uses overlap: such boxes are not vehicles."""
+    """`scale`, refused if many of the vehicles that it uses overlap: such boxes are not vehicles."""
     share = float(standing_in_another(used).mean()) if len(used) >= LEAST_USED else 0.0
     if share < IN_ONE_ANOTHER:
         return scale
@@ -74,7 +74,7 @@ def if_apart(scale: Scale, used: Boxes) -> Scale:
 
 
 def if_in_order(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, ``poor`` at best if the vehicles that it uses are in no order at all.
+    """`scale`, ``poor`` at best if the directions of the vehicles that it uses are random.
 
     Vehicles are parallel or perpendicular to their neighbours, because of lanes, kerbs, bays and rows. Boxes of
     unrelated directions may be things of any size.
@@ -91,8 +91,8 @@ def if_in_order(scale: Scale, used: Boxes) -> Scale:
 
 
 def if_unlike(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, refused if the vehicles that it uses are too similar in size: boxes of panels and roof machines of one
-    make scatter by 1 or 2 %, those of vehicles of twelve places by 6 to 20 %."""
+    """`scale`, refused if the vehicles that it uses are too similar in length: boxes of panels and roof machines of one
+    make scatter by 1 or 2 %, those of vehicles in twelve places by 6 to 20 %."""
     if not of_one_size(used):
         return scale
     remark = Remark(
@@ -105,10 +105,10 @@ def if_unlike(scale: Scale, used: Boxes) -> Scale:
 
 
 def if_square(scale: Scale, found: Squeeze | None) -> Scale:
-    """`scale`, less certain and doubted if pixels are not as square as is said; refused if they are far from it.
+    """`scale`, less certain and doubted if pixels are not as square as assumed; refused if they are far from it.
 
-    One scale does not hold along both axes then: along x and y lengths err by half of the log aspect, one way and the
-    other, and by it over the root of 8 (rms) over all directions.
+    A single scale then does not hold along both axes. Lengths along x and along y err by half of the log aspect, with
+    opposite signs; over all directions the rms error is the log aspect divided by the root of 8.
     """
     if found is None or found.sigmas < SQUEEZED_SIGMAS or abs(found.log_aspect) < NOTABLE_SQUEEZE:
         return scale
@@ -126,14 +126,17 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
 
 
 def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
-    """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
-    `believed`: found by both detection passes and not set aside (`Detections.set_aside`). Refused where HARDLY_ANY are
-    that do not agree well, and where more than MANY_LARGER of the vehicles are larger ones.
+    """`scale`, with its verdict one step lower and ``poor`` at best where few of all boxes count.
+
+    believed : number of boxes that count: found by both detection passes and not set aside (`Detections.set_aside`).
+    uncounted : number of the others. Few is a share of OF_MISTAKES or less. The scale is refused where less than
+    HARDLY_ANY count and these do not agree well; and where few count and more than MANY_LARGER of the vehicles are
+    larger ones.
 
     Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
-    skylights and sheds, also gives boxes, and things of one other size give as certain a scale as vehicles, which
-    anchors then follow. Vehicles much larger than cars are a bad sign there: the supposed cars may be graves or tents,
-    and the supposed larger vehicles the cars.
+    skylights and sheds, also gives boxes. If these have some other size, they give as certain a scale as vehicles, and
+    anchors then follow it. Many vehicles much larger than cars are a bad sign there: the supposed cars may be graves or
+    tents, and the supposed larger vehicles the cars.
     """
     seen = believed + uncounted
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
@@ -180,7 +183,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
 
 def alignment(boxes: Boxes) -> tuple[int, float]:
     """Number of pairs of nearest neighbours in `boxes` (N, of one picture), and how well their directions agree: the
-    mean of cos(4 difference), which is the same for parallel and perpendicular, and 0 without any pair."""
+    mean of cos(4 difference), which is 1 for parallel and for perpendicular boxes, and 0 without any pair."""
     from scipy.spatial import cKDTree
 
     if len(boxes) < 2:

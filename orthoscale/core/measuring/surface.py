@@ -1,9 +1,9 @@
-"""A trend of the scale over a plan: a plane or a bowl through the vehicles' scales, and how far chance makes one.
+"""A trend of the scale over a plan: a plane or a bowl fitted to the vehicles' scales, and its significance.
 
-Vehicles that stand together resemble each other (a taxi rank, a works car park), so that many of them say less than
-their number suggests, and lots that differ look like a trend where they are few. So the vehicles' mean size is allowed
-to change over the ground by chance, and the fits are generalised least squares: as on a ground that is cut into lots at
-random, the chance that two places are of one lot, and with it their correlation, falls exponentially with the distance.
+Vehicles that stand together resemble each other (a taxi rank, a works car park), so many of them say less than their
+number suggests, and a few lots that differ look like a trend. So the vehicles' mean size is modelled as varying
+randomly over the ground, and the fits are generalised least squares. As on a ground that is cut into lots at random,
+the probability that two places are of one lot, and with it their correlation, falls exponentially with the distance.
 """
 
 from __future__ import annotations
@@ -14,23 +14,24 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
-# By which the mean sizes of lots scatter, relative, one sigma. Places of one country do by 1.6 % (0 to 6) at 12 places
-# read by eye, and by 3.1 to 3.3 % by the fleets' prior (docs/ruler.md); lots of one scene are more alike. False alarms
+# Scatter of the mean sizes of lots, relative, one sigma. Places of one country scatter by 1.6 % (0 to 6) at 12 places
+# read by eye, and by 3.1 to 3.3 % in the fleets' prior (docs/ruler.md); lots of one scene are more alike. False alarms
 # are rare among lots that scatter by 1.5 %; of scenes whose lots scatter by 3 %, 2 to 7 % have one.
 LOTS_SD = 0.02
-LOT_SIZE = 100.0  # [m] within which vehicles tend to be of one lot: a car park, a street's block; judged
+LOT_SIZE = 100.0  # [m] correlation length of lots: a car park, a street's block; a judgement
 PER_CELL = 6.0  # vehicles wanted in a cell of the map
-WANTED_CELLS = 24  # below which cells have fewer vehicles
+WANTED_CELLS = 24  # number of cells below which cells get fewer vehicles instead
 MOST_CELLS = 8  # along the longer side
-SCATTER = 0.01  # least that vehicles' sizes scatter; those of one model, seen sharply, do by about as much
+SCATTER = 0.01  # least relative scatter of vehicles' sizes, about that of one model, seen sharply
 
 
 @dataclass(frozen=True)
 class Cells:
-    """A plan's cells that have vehicles in them, C of them.
+    """The C cells of a plan that have vehicles in them.
 
-    centre : (C, 2) of each cell, and place : (C, 2) mean of its vehicles [units]. count : (C,) of these. mean : (C,) of
-    their values, and sd : (C,) one sigma of it if they were independent. size : (2,) of a cell [units].
+    centre : (C, 2) of each cell. place : (C, 2) mean position of its vehicles; both [units]. count : (C,) number of
+    these. mean : (C,) of their values. sd : (C,) one sigma of `mean` if they were independent. size : (2,) of a cell
+    [units].
     """
 
     centre: np.ndarray
@@ -42,8 +43,8 @@ class Cells:
 
     @classmethod
     def of(cls, place: np.ndarray, values: np.ndarray, low: np.ndarray, extent: np.ndarray) -> Cells:
-        """place : (N, 2) of vehicles and values : (N,) of each, on a plan from its corner `low` on, (2,) `extent`
-        large [units]."""
+        """Cells of N vehicles. place : (N, 2) of each. values : (N,) of each. low : (2,) lowest corner of the plan.
+        extent : (2,) its size. Lengths in [units]."""
         wanted = float(np.clip(len(place) / WANTED_CELLS, 1, PER_CELL))
         side = max(np.sqrt(extent.prod() * wanted / len(place)), extent.max() / MOST_CELLS)
         number = np.maximum(np.round(extent / side), 1).astype(int)
@@ -54,8 +55,8 @@ class Cells:
         def mean(of: np.ndarray) -> np.ndarray:
             return np.bincount(cell, of) / count
 
-        # What is left about the largest trend; boxes that are all alike would have none, and be infinitely sure.
-        terms = bowl(place - low - extent / 2, extent)  # about their middle: far from it, they would look alike
+        # The scatter about the most general trend. Of boxes that are all the same it would be 0, with infinite weight.
+        terms = bowl(place - low - extent / 2, extent)  # from the plan's middle; far from it, terms become collinear
         left = values - terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
         scatter = max(float(np.sqrt((left**2).sum() / max(len(left) - terms.shape[1], 1))), SCATTER)
         centre = low + (np.column_stack([which % number[0], which // number[0]]) + 0.5) * size
@@ -63,27 +64,28 @@ class Cells:
         return cls(centre, where, count, mean(values), scatter / np.sqrt(count), (float(size[0]), float(size[1])))
 
     def covariance(self, lot: float, lots_sd: float = LOTS_SD) -> np.ndarray:
-        """(C, C) of the cells' means without any trend, where lots are `lot` [units] large and stray by `lots_sd`."""
+        """(C, C) covariance of the cells' means without any trend. lot : size of a lot [units]. lots_sd : one sigma of
+        the lots' mean sizes, relative."""
         apart = np.linalg.norm(self.place[:, None] - self.place, axis=2)
         alike: np.ndarray = lots_sd**2 * np.exp(-apart / lot) + np.diag(self.sd**2)
         return alike
 
 
 def plane(place: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """(N, 3) terms of a plane at `place` (N, 2), in shares of the longer side of `extent` (2,)."""
+    """(N, 3) terms of a plane at `place` (N, 2): 1, x and y, as shares of the longer side of `extent` (2,)."""
     return np.column_stack([np.ones(len(place)), place / extent.max()])
 
 
 def bowl(place: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """(N, 6) the same of a full quadric."""
+    """(N, 6) terms of a full quadric, in the same units."""
     x, y = place.T / extent.max()
     return np.column_stack([plane(place, extent), x * x, x * y, y * y])
 
 
 @dataclass(frozen=True)
 class SurfaceFit:
-    """Of P terms to C cells. coefficients : (P,). covariance : (P, P) of these. chi2, freedom : of what is left.
-    noise : how much that is per degree of freedom, 1 at least."""
+    """The fit of P terms to C cells. coefficients : (P,). covariance : (P, P) of these. chi2 : of the residuals.
+    freedom : their degrees of freedom. noise : chi2 per degree of freedom, at least 1."""
 
     coefficients: np.ndarray
     covariance: np.ndarray
@@ -99,13 +101,13 @@ class SurfaceFit:
         coefficients = np.linalg.lstsq(a, b, rcond=None)[0]
         chi2 = float(((b - a @ coefficients) ** 2).sum())
         freedom = len(b) - int(np.linalg.matrix_rank(a))
-        # Where cells scatter more than vehicles and lots explain, the fit is known less well. Where they scatter less,
-        # lots may still differ: cells of one lot do not show it.
+        # Where cells scatter more than vehicles and lots explain, the fit is less certain. Where they scatter less,
+        # lots may still differ: cells of one lot do not show that.
         noise = max(chi2 / freedom, 1.0) if freedom > 0 else 1.0
         return cls(coefficients, np.linalg.pinv(a.T @ a) * noise, chi2, freedom, noise)
 
     def p_against(self, simpler: SurfaceFit) -> float:
-        """Probability of so much better a fit than `simpler`'s by chance (F-test), 1 without cells enough to say."""
+        """Probability that a fit is so much better than `simpler` by chance (F-test); 1 for too few cells."""
         more = simpler.freedom - self.freedom
         if self.freedom < 3 or more < 1:
             return 1.0

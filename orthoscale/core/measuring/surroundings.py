@@ -1,4 +1,4 @@
-"""Evidence on the scale in the boxes besides vehicle sizes: rows of parked vehicles, objects of standard size."""
+"""Evidence of the scale in the boxes besides vehicle sizes: rows of parked vehicles, objects of standard size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .footing import BY_POINTS, Footing
 from .objects import standard_objects
 from .parking import parking_pitch
 
-CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
+CLEAR_OF_BORDER = 3.0  # [px] from a frame's border; nearer to it, an object may be cut off
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,14 @@ def objects_in_plan(objects: Mapping[str, Boxes], zoom: float, standards: Standa
 def rows_in_model(
     votes: Votes, along: np.ndarray, standards: Standards, country: str, footing: Footing = BY_POINTS
 ) -> list[AnchorVote]:
-    """The pitch of parking rows on a reconstruction's ground, where they show one.
+    """The pitch of parking rows on a reconstruction's ground, if there are any.
 
-    Each vehicle has one place, however often it was seen.
+    Each vehicle counts at one place, however often it was seen. Vehicles seen in one frame where they should be in
+    many are left out.
 
-    votes : of vehicles, `place` (N, 3) in the world, `size` without the margin. along : (M, 3) unit vectors of the
-    long sides of all boxes, in the world. Vehicles seen once where others are seen often are left out. footing : the
-    ground on which they stand.
+    votes : of vehicles, `place` (N, 3) in world coordinates, `size` without the margin. along : (M, 3) unit vectors of
+    the long sides of all boxes, in world coordinates. country : as for `parking_pitch`. footing : the ground on which
+    the vehicles stand.
     """
     kept = ~votes.fleeting
     members = [m for m, keep in zip(votes.members, kept, strict=True) if keep]
@@ -76,7 +77,7 @@ def rows_in_model(
 
 
 def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
-    """(N, 3) unit vectors in the world along the long sides of boxes (N,) in the frames `names` (N,)."""
+    """(N, 3) unit vectors along the long sides of boxes (N,) in the frames `names` (N,), in world coordinates."""
     along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
     out = np.empty_like(along)
     for name in np.unique(names):
@@ -95,9 +96,11 @@ def objects_in_model(
 ) -> list[AnchorVote]:
     """Objects of standard size in a reconstruction's frames, one vote for each object however many frames show it.
 
-    objects : boxes by frame and class. `metres_per_unit` is the current scale, for the heights of objects that are not
-    flat. The height up to which boxes enclose them has not been measured: half the object's height is assumed, and the
-    range from none to all of it is in the uncertainty. footing : the ground on which they stand.
+    objects : boxes by frame and class. zoom : detector pixels per picture pixel. metres_per_unit : the current scale,
+    for the heights of objects that are not flat. footing : the ground on which they stand.
+
+    The effective height of boxes around objects has not been measured: half the object's height is assumed, and the
+    range from none to all of it is part of the uncertainty.
     """
     found = []
     for kind, standards in known.objects.items():
@@ -123,17 +126,18 @@ def objects_in_model(
         middle, whole, none = by_height
         unsure = 0.0
         if tall > FLAT and all(by_height):
-            likely = evidence_of(middle)[0]  # of one standard, whatever the others make of the box's shape
+            # Compare the heights by this one standard, even where the box's shape would then fit another better.
+            likely = evidence_of(middle)[0]
             about = Posterior.normal(float(np.log(likely.value)), likely.relative_sd)
             scales = [evidence_of(votes)[0].meant(about).value for votes in (whole, none)]
-            unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # one sigma of anything in between
+            unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # uniform distribution in between
         for vote in middle:
             found.append(_on_ground(vote, footing, unsure))
     return found
 
 
 def _on_ground(vote: AnchorVote, footing: Footing, unsure: float = 0.0) -> AnchorVote:
-    """`vote` with the errors of the ground of `footing`, and one sigma `unsure` that all of its kind share."""
+    """`vote` with the errors of the ground of `footing`, and with one sigma `unsure` common to all of its kind."""
     own = np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0])
     return replace(vote, relative_sd=float(own), shared_sd=footing.shared, kind_sd=unsure)
 
@@ -158,5 +162,5 @@ def _objects(
 
 
 def _mean_axis(directions: np.ndarray) -> np.ndarray:
-    """(3,) the direction that unit vectors (K, 3) share, whichever way along it each points."""
+    """(3,) the mean axis of unit vectors (K, 3), whichever way each points along it."""
     return np.linalg.eigh(directions.T @ directions)[1][:, -1]

@@ -1,7 +1,7 @@
 """Errors common to all sizes of one measuring mode, by cause, and what remains of them in the mean of two modes.
 
-Two modes share some causes: the ground is too high for both, the focal length too long for both. Shared errors do not
-average out; errors that only one mode has do.
+Two modes share some causes: a ground that is too high, or a focal length that is too long, affects both. Shared errors
+do not average out; errors of one mode alone do.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-# Up to where boxes enclose the ends and the sides of vehicles, as the detector's card does not know it.
+# Names of two shared causes: errors of the card's effective height at the ends and at the sides of vehicles.
 ENDS, SIDES = "height of ends", "height of sides"
 
 
@@ -20,8 +20,8 @@ class Systematic:
     """Errors common to all sizes of one measuring mode.
 
     own : (2,) relative one-sigmas of all lengths, and of all widths, that no other mode shares. shared : by cause, (2,)
-    by how much lengths and widths come out larger (log) if it is one sigma off. Causes of the same name are identical
-    in all modes; different causes are independent.
+    how much larger lengths and widths come out (log) if the cause is one sigma off. Causes of the same name are
+    identical in all modes; different causes are independent.
     """
 
     own: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -37,7 +37,7 @@ class Systematic:
         return replace(self, shared={**self.shared, **more})
 
     def cross(self, other: Systematic) -> np.ndarray:
-        """(2,) covariance with `other`: of the lengths of both, and of the widths of both."""
+        """(2,) covariance with the errors of `other`: between the lengths of both, and between the widths of both."""
         causes = self.shared.keys() & other.shared.keys()
         return sum((self.shared[cause] * other.shared[cause] for cause in sorted(causes)), np.zeros(2))
 
@@ -54,10 +54,10 @@ class Systematic:
 
 
 def of_height(alone: np.ndarray, left: np.ndarray | float = 1.0) -> Systematic:
-    """Errors of sizes with one-sigmas `alone` (2,) from the uncertainty of vehicle bodies, including their heights.
+    """Errors of sizes from the uncertainty of vehicles' bodies, including their heights.
 
-    left : (2,) correlation of these errors with the error of the heights in the detector's card: 1 if the heights come
-    from the card alone. The rest is this mode's own.
+    alone : (2,) relative one-sigmas of lengths and widths. left : (2,) correlation of these errors with the error of
+    the card's effective heights: 1 if the heights come from the card alone. The rest is this mode's own.
     """
     by_card = alone * left
     own = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))

@@ -18,14 +18,14 @@ VEHICLE = np.dtype(
         ("x_unit", float),  # where it stands, in the source's own coordinates; z is 0 in an orthophoto
         ("y_unit", float),
         ("z_unit", float),
-        ("scale_deviation", float),  # log of the scale that it alone would give, over the mean of those that count
-        ("views", int),  # boxes that show it
+        ("scale_deviation", float),  # log scale by it alone, less the mean of those that count
+        ("views", int),  # number of boxes that show it
         ("score", float),  # of its best box
-        ("kind", object),  # the likeliest of `boxes.KINDS`, '' where nobody looked
+        ("kind", object),  # the likeliest of `boxes.KINDS`, '' if unknown
         ("used", bool),
         ("reason", object),  # why it does not count, '' where it does
         ("picture", object),  # name of the picture of its best box
-        ("cx_px", float),  # that box: centre, sides (with the margin) and angle of the long side [rad], as in `Boxes`
+        ("cx_px", float),  # the best box: centre, sides (with margin), angle of the long side [rad], as in `Boxes`
         ("cy_px", float),
         ("box_length_px", float),
         ("box_width_px", float),
@@ -37,8 +37,8 @@ VEHICLE = np.dtype(
 def vehicle_table(votes: Votes, size: np.ndarray, scale: Scale, boxes: Boxes, picture: np.ndarray) -> np.ndarray:
     """(N,) structured array of VEHICLE, in the order of the `votes`.
 
-    size : (N, 2) length and width of the vehicles behind them, the margin taken off [source units]. boxes : all M that
-    `votes.members` count. picture : (M,) name of each one's picture.
+    size : (N, 2) length and width of the votes' vehicles, the margin taken off [source units]. boxes : all M, which
+    `votes.members` are indices of. picture : (M,) name of the picture of each.
     """
     table = np.zeros(len(votes), VEHICLE)
     table["length_unit"], table["width_unit"] = size.T
@@ -64,6 +64,6 @@ def _kind(votes: Votes) -> list[str]:
 
 
 def _deviation(size: np.ndarray, scale: Scale) -> np.ndarray:
-    """(N,) log of the scale that each vehicle of `size` (N, 2) alone would give, over the mean of those that count."""
+    """(N,) log scale by each vehicle of `size` (N, 2) alone, less the mean of those that count."""
     log_scale = -np.log(size) @ np.asarray(scale.weights)
     return log_scale - log_scale[scale.used].mean() if scale.used.any() else log_scale

@@ -1,7 +1,7 @@
 """Chooses the measuring modes of a source: planar for a plan, oblique and planar for a posed set.
 
-The two modes of a posed set (its frames, and frames warped onto the ground) share neither the projection nor the
-pictures, so each is a check on the other.
+The two modes of a posed set (in its frames, and in frames warped onto the ground) share neither the projection nor the
+pictures, so each checks the other.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from .planar_sweep import SweepGeometry
 from .plausibility import plausible
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
-SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
+SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: largest distance between the places of one vehicle in the two modes
 
 
 def measure_source(
     source: Source, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
 ) -> Measurement:
-    """The scale of `source` by the vehicles `found` in it. mode : of a posed set, see `measure_posed`; a plan has none.
+    """The scale of `source` by the vehicles `found` in it.
 
-    Raises TooLittleEvidence, UsageError.
+    mode : of a posed set, see `measure_posed`; a plan has none. Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
@@ -57,7 +57,8 @@ def measure_source(
 def measure_posed(
     source: PosedSet, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
 ) -> Measurement:
-    """The scale of a reconstruction by the vehicles `found`, in each mode that `mode` allows and they suffice for.
+    """The scale of a reconstruction by the vehicles `found`, in each mode that `mode` allows and that has enough of
+    them.
 
     By default both modes are tried. If one has too little evidence, the other is used alone; otherwise they are pooled,
     each vehicle once, and `Measurement.agreement` compares them. If they contradict each other they are not pooled: the
@@ -112,7 +113,7 @@ def _answer(
     answer = modes[name] if (name := alone(agreement)) is not None else first
     scale = together(agreement)
     if name is None:
-        with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
+        with suppress(TooLittleEvidence):  # among all vehicles of both modes, too few may agree on one scale
             scale = _by_vehicles(source, found, modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
 
@@ -120,33 +121,33 @@ def _answer(
 def _by_vehicles(
     source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
 ) -> Scale:
-    """The scale by all vehicles of both modes, each of which counts once. A vehicle found in a single ground picture,
-    and in none of many frames that show its place, is a false detection."""
+    """The scale by all vehicles of both modes, each counted once. A vehicle found in one ground picture only, and in
+    none of many frames that show its place, is a false detection."""
     first = next(iter(modes.values()))
     votes, ruler, covariance = united(*modes.values())
     in_frames = shown_in_frames(source, found, first.boxes, votes.place)
     votes = replace(votes, shown=in_frames if votes.shown is None else np.maximum(votes.shown, in_frames))
-    more = next((m.pooled.more for m in modes.values() if m.pooled.more), ())  # both see the same rows of vehicles
+    more = next((m.pooled.more for m in modes.values() if m.pooled.more), ())  # both modes see the same rows
     scale = method.pool(votes, fleet, ruler, first.scale.unit, covariance, more)
     checks = {**scale.checks, **{name: m.scale.value for name, m in modes.items()}}
     return replace(scale, used=first.scale.used, reasons=first.scale.reasons, checks=checks)
 
 
 def _of_one_scale(measured: Measurement) -> Measurement:
-    """`measured`, with the drift of its scale as a part of the uncertainty: the scale of a single place is less certain
-    than the mean."""
+    """`measured`, with the drift of its scale as a part of the uncertainty: the scale at one place is less certain than
+    the mean."""
     if measured.drift is None:
         return measured
     return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
 
 
 def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
-    """The vehicles of two modes as one set of votes, without the margin; with their ruler and the geometry's
-    covariance.
+    """The vehicles of two modes as one set of votes, without the margin; their ruler; and the (2, 2) covariance of the
+    geometry's errors.
 
-    A vehicle measured in both is weighted by the errors that the modes do not share (`_shares`). The ruler's
-    uncertainty is the weighted mean of both, as if it were common to them, which of two networks' it is only in part;
-    that of the geometry is common in part.
+    The two sizes of a vehicle measured in both modes are weighted by the errors that the modes do not share
+    (`_shares`). The ruler's uncertainty is the weighted mean of both, as if it were common to them; with two networks
+    that is true only in part. The geometry's uncertainty is common in part.
     """
     ia, ib = _matched(a, b, np.arange(len(a.votes)), np.arange(len(b.votes)))
     share = _shares(a.pooled, b.pooled, ia, ib)
@@ -158,8 +159,9 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
 def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> Votes:
     """All vehicles of `a`, then those that only `b` measured.
 
-    ia, ib : (K,) indices of the votes of both that are one vehicle. Its size is the mean of the two, in which `a` has
-    `share` (K, 2). Both modes use the same pixels, so its noise is the mean of their noises, and so are its kinds.
+    ia, ib : (K,) indices of the votes in `a` and in `b` that are one vehicle. Its size is the mean of the two, in which
+    `a` has the weight `share` (K, 2). Both modes use the same pixels, so its noise is the weighted mean of the two
+    noises and does not average out. Its kind probabilities are the mean of the two.
     """
     rest = np.setdiff1d(np.arange(len(b.votes)), ib)
     size, noise, views = a.size.copy(), a.pooled.noise.copy(), a.votes.views.copy()
@@ -190,8 +192,8 @@ def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray
 
 
 def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
-    """The ruler of the vehicles of both modes, whose `weight` (2 modes, 2) is that of `_weights`. The margins are
-    removed already: their uncertainty is a bias."""
+    """The ruler of the vehicles of both modes, by the modes' `weight` (2 modes, 2) from `_weights`. The margins are
+    removed already, so their uncertainty is added to the bias."""
     rulers = a.pooled.ruler, b.pooled.ruler
     bias = [
         np.hypot(ruler.bias_sd, np.asarray(ruler.margin_sd) * np.median(way.votes.pixel[:, None] / way.size, axis=0))
@@ -213,18 +215,18 @@ def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
 
 
 def _shares(a: Pooled, b: Pooled, ia: np.ndarray, ib: np.ndarray) -> np.ndarray:
-    """(K, 2) weights of `a` in the lengths and widths of the K vehicles `ia` and `ib` that both measured: those that
-    minimise the variance of the mean of all K. In that mean, the noise of each counts for a Kth, common errors in full.
-    """
+    """(K, 2) weights of `a` in the lengths and widths of the K vehicles `ia`, `ib` that both measured: those that
+    minimise the variance of the mean of all K. In that mean, the noise variance of each counts for a Kth, errors common
+    to a mode in full."""
     both, count = a.systematic.cross(b.systematic), max(len(ia), 1)
     own = [np.diag(way.systematic.covariance) - both + way.noise[some] ** 2 / count for way, some in ((a, ia), (b, ib))]
     return np.clip(own[1] / (own[0] + own[1]), 0, 1)
 
 
 def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(2 modes, 2) weights in the mean of all lengths, and of all widths, where `ia`, `ib` (K,) are the votes of both,
-    in which `a` has `share` (K, 2). All vehicles have equal weight: their true sizes differ by more than any
-    measurement error."""
+    """(2 modes, 2) weights of the modes in the mean of all lengths, and of all widths. ia, ib : (K,) votes of vehicles
+    measured in both, in which `a` has the weight `share` (K, 2). All vehicles have equal weight: their true sizes
+    differ by more than any measurement error."""
     of_a = np.ones((len(a.votes), 2))
     of_a[ia] = share
     counts = a.scale.used.copy()
@@ -236,21 +238,22 @@ def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, sha
 
 
 def _kinds(of: Measurement) -> np.ndarray:
-    """(N, 4) kinds of its votes, NaN where they are not used."""
+    """(N, 4) kind probabilities of the votes of a measurement, NaN where they are not used."""
     if of.votes.kinds is None or not of.pooled.ruler.kinds:
         return np.full((len(of.votes), len(KINDS)), np.nan)
     return of.votes.kinds.copy()
 
 
 def _common(a: Measurement, b: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 2) log ratio of the sizes by `a` to those by `b`, of the vehicles that count in both; and (K, 3) their
+    """(K, 2) log ratio of the sizes by `a` to those by `b`, of the vehicles that count in both; and their (K, 3)
     positions."""
     ia, ib = _matched(a, b, *(np.flatnonzero(m.scale.used) for m in (a, b)))
     return np.log(a.size[ia]) - np.log(b.size[ib]), a.votes.place[ia]
 
 
 def _matched(a: Measurement, b: Measurement, some_a: np.ndarray, some_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the votes of both, among `some`, that are one vehicle: mutual nearest neighbours."""
+    """Indices of the votes in `a` and in `b` that are the same vehicle: mutual nearest neighbours among those of
+    indices `some_a` and `some_b`."""
     if not len(some_a) or not len(some_b):
         return np.empty(0, int), np.empty(0, int)
     reach = SEEN_BOTH_WAYS * float(np.median(a.size[some_a, 1]))

@@ -1,4 +1,4 @@
-"""The scale of a source with too few vehicles: from at least two kinds of other evidence that agree."""
+"""The scale of a source with too few vehicles, from at least two kinds of other evidence that agree."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from ..verdicts import UNUSABLE, verdict
 from ..votes import Sightings, gather
 from .measurement import Measurement
 
-FEWEST_KINDS = 2  # that must agree: one kind alone may be a mistake, or another standard's
+FEWEST_KINDS = 2  # kinds of evidence that must agree: one alone may be a mistake, or follow another standard
 
 
 def measured_without_vehicles(
     evidence: Sequence[Evidence], unit: str, fleet: str, dims: int, lost: Mapping[str, int]
 ) -> Measurement:
-    """The scale that `evidence` gives where no vehicles do, with no vehicles in it.
+    """The scale by `evidence` alone, as a measurement without vehicles.
 
-    unit : the scale's. fleet : code of the one that would have been measured with. dims : of places in the source.
-    lost : boxes that are no vehicles, by reason. Raises TooLittleEvidence where not two kinds agree on a useful scale.
+    unit : of the scale. fleet : code of the fleet that vehicles would have been compared with. dims : number of
+    coordinates of a place in the source. lost : number of boxes that are not vehicles, by reason. Raises
+    TooLittleEvidence for fewer than two kinds of evidence, and where no two agree on a useful scale; kinds that
+    contradict each other give a scale in conflict.
     """
     if len({e.kind for e in evidence}) < FEWEST_KINDS:
         raise _too_little(", ".join(e.says for e in evidence) or "none")
@@ -66,7 +68,7 @@ def _too_little(known: str) -> TooLittleEvidence:
 
 
 def _agreeing(together: Combined) -> list[Evidence]:
-    """The evidence that agrees with the answer."""
+    """The pieces of evidence that agree with the result."""
     sigmas = [
         abs(np.log(e.value / together.summary[0])) / np.hypot(e.relative_sd, together.posterior.spread)
         for e in together.evidence

@@ -13,24 +13,24 @@ from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
 from .posterior import OF_MEDIAN, ROBUST_SD, Z90
 
-CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
-OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over one place may differ
-# What one network's boxes of vehicles differ by from its own in other pictures of them (relative, one sigma), at least.
-# An assumption: on the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most. The margins of
-# two networks are each one's own.
+CONTRADICTION = 2.6  # sigmas above which two measurements of one scale contradict each other; by chance in 1 %
+OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty that two measurements of one model do not share
+# Least relative one sigma between one network's boxes of vehicles in two sets of pictures. An assumption: on the two
+# real scenes the vehicles measured both ways differ by 3.5 % and 1.8 % at most. The margins of two networks are
+# independent.
 OWN_MARGIN = 0.015
-MIN_COMMON = 5  # vehicles measured in both ways from which these alone are compared
+MIN_COMMON = 5  # number of vehicles measured both ways from which only these are compared
 
 
 @dataclass(frozen=True)
 class Agreement:
     """Two measurements of the scale of one model, compared.
 
-    The two by name; their difference (log of second over first), and its one sigma. common : number of vehicles from
-    which the difference was taken, 0 if it is that of the scales. apart, apart_sd : log of second scale over first, by
-    all vehicles of each, and its one sigma. mixes_sd : one sigma of a further difference of the scales because the two
-    count different vehicles of different mixes; 0 unless the vehicles in common agree. cause : of a contradiction, in
-    words. spared : the name of the one that this cause does not affect.
+    scales : the two by name. difference, sd : log of second over first by the vehicles in common, and its one sigma.
+    common : number of these vehicles, 0 if the difference is that of the scales. apart, apart_sd : log of second scale
+    over first, by all vehicles of each, and its one sigma. mixes_sd : one sigma of a further difference of the scales,
+    because the two count different vehicles of different mixes; 0 unless the vehicles in common agree. cause : of a
+    contradiction, in words. spared : the name of the one that this cause does not affect.
     """
 
     scales: dict[str, Scale]
@@ -45,23 +45,23 @@ class Agreement:
 
     @property
     def tension(self) -> float:
-        """Sigmas between the two: by the vehicles that both measured, or by all of each, whichever is more."""
+        """Sigmas between the two: by the vehicles in common, or by all vehicles of each, whichever is more."""
         return max(abs(self.difference) / self.sd, abs(self.apart) / float(np.hypot(self.apart_sd, self.mixes_sd)))
 
     @property
     def by_others(self) -> bool:
-        """Whether the scales differ by vehicles that only one of the two counts, and not by how they measure."""
+        """Whether the scales differ because of vehicles that only one of the two counts, not by how they measure."""
         return self.mixes_sd > 0 and abs(self.apart) > CONTRADICTION * self.apart_sd
 
     @property
     def surer(self) -> str:
-        """The name of the more certain one: the one that the cause of a contradiction does not affect, if there is
-        such."""
+        """The name of the one that the cause of a contradiction does not affect, if there is such; else of the more
+        certain one."""
         return self.spared or min(self.scales, key=lambda name: self.scales[name].relative_sd)
 
     @property
     def contradicts(self) -> bool:
-        """Whether the two differ by more than CONTRADICTION sigmas, which happens by chance in 1 %."""
+        """Whether the two differ by more than CONTRADICTION sigmas."""
         return self.tension > CONTRADICTION
 
     @property
@@ -86,16 +86,16 @@ class Agreement:
 
 
 def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_network: bool = True) -> Agreement:
-    """The agreement of two scales of one source by the same vehicles.
+    """The agreement of two scales of one source.
 
     ratio : (K, 2) log ratio of the size by the first to that by the second, for lengths and widths of the vehicles that
     both measured. With enough of them the vehicles' true sizes cancel, and so does the fleet. If these agree, the two
     modes measure alike, and a remaining difference of the scales comes from the other vehicles, whose mix each mode
     estimates by itself (`mixes_sd`, the fleet's part of both). Without vehicles in common, sampling is taken as
-    independent, which tolerates a larger difference than the same vehicles should have. one_network : both rest on
-    boxes of one, and most of its error is common to both; the errors of two are independent, as geometry is. Fleet,
-    margin and other evidence cancel as far as both scales rest on them: a scale that rests on a known distance as well
-    differs from one by vehicles alone by the fleet's error.
+    independent, which tolerates a larger difference than the same vehicles should have. one_network : both use boxes of
+    one network, and most of its error is common to both; the errors of two networks are independent, like geometry.
+    Fleet, margin and other evidence cancel as far as both scales rest on them: a scale that also rests on a known
+    distance differs from one by vehicles alone by the fleet's error.
     """
     a, b = scales.values()
     own = sum(_own_variance(scale.parts, one_network) for scale in (a, b))
@@ -107,7 +107,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_netwo
         return Agreement(scales, *apart, *apart)
     each = of_scales(scales, ratio)
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
-    # What else tells the scales tells nothing of the vehicles' sizes: these err by all that the two ways err.
+    # Other evidence on the scale does not make the vehicles' sizes more certain, so their own parts count in full.
     own = sum(_own_variance(scale.by_vehicles or scale.parts, one_network) for scale in (a, b))
     own += OF_MEDIAN**2 * spread**2 / len(each)
     difference, sd = float(np.median(each)), float(np.sqrt(own))
@@ -117,8 +117,8 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_netwo
 
 
 def _own_variance(parts: Mapping[str, float], one_network: bool) -> float:
-    """Of what one of two measurements errs by and the other does not, besides sampling, by the `parts` of its
-    uncertainty."""
+    """Variance of the errors that one of two measurements does not share with the other, except sampling; from the
+    `parts` of its uncertainty."""
     margin = 0.0 if one_network else parts.get("margin", 0.0)
     return parts.get("geometry", 0.0) ** 2 + max(margin, OWN_MARGIN) ** 2
 
@@ -130,16 +130,16 @@ def of_scales(scales: dict[str, Scale], ratio: np.ndarray) -> np.ndarray:
 
 
 def alone(agreement: Agreement) -> str | None:
-    """The name of the scale that stands alone: one that other evidence contradicts, or the surer one of two that
-    contradict each other. None where both are pooled."""
+    """The name of the scale that is used alone: one that other evidence contradicts, or the surer one of two that
+    contradict each other. None if both are pooled."""
     contradicted = (name for name, scale in agreement.scales.items() if scale.conflict)
     return next(contradicted, agreement.surer if agreement.contradicts else None)
 
 
 def together(agreement: Agreement) -> Scale:
-    """The pooled scale: the first, shifted towards the second by its weight; or the one that stands `alone`. Its shapes
-    are as odd as those of the one with the odder ones, and what was remarked on either is remarked on it, with the name
-    of the one unless it holds for both.
+    """The pooled scale: the first, shifted towards the second by its weight; or the one that is used `alone`. Its
+    tension is the larger of the two, and it has the remarks on either, with the name of that one unless they hold for
+    both.
 
     Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
     same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
@@ -184,7 +184,7 @@ def together(agreement: Agreement) -> Scale:
 
 
 def _named(scales: dict[str, Scale], name: str) -> tuple[Remark, ...]:
-    """The remarks on the scale `name`, with this name before what is not remarked on all `scales`."""
+    """The remarks on the scale `name`; those that not all `scales` have begin with this name."""
     return tuple(
         remark if all(remark in s.remarks for s in scales.values()) else replace(remark, text=f"{name}: {remark.text}")
         for remark in scales[name].remarks

@@ -1,11 +1,10 @@
 """The anchors of one source as evidence: one piece for each kind.
 
 Anchors of one kind are not independent: the same painter measured them, the same picture distorts them, and the same
-structure deceives the finder. So of the variance of each fit the share `SHARED` remains, however many there are, and so
-does all of the variance of the standard; and the kind as a whole is a false find with the probability of its most
-certain anchor. A kind may support several scales, one for each standard and each group of anchors that agree. Each is
-weighted by its standard's prior and by the square of the number of anchors that support it, since false finds seldom
-agree.
+structure deceives the finder. So however many there are, the share `SHARED` of the variance of each fit remains, and
+all of the variance of the standard; and the kind as a whole is a false find with the probability of its most certain
+anchor. A kind may support several scales, one for each standard and each group of anchors that agree. Each is weighted
+by its standard's prior and by the square of the number of anchors that support it, since false finds seldom agree.
 """
 
 from __future__ import annotations
@@ -19,23 +18,23 @@ from ..anchors import BAYS, AnchorVote, Standard, holding
 from ..evidence import Evidence
 from .posterior import Posterior
 
-# Share of an anchor's variance that all of its kind have in common. Tennis courts on 100 pictures of exact scale err by
-# 0.40 % each (one sigma) and by 0.29 % together (90 % within 0.47 %), half of the variance: `docs/anchors.md`.
+# Share of a fit's variance that all anchors of a kind have in common. Tennis courts on 100 pictures of exact scale err
+# by 0.40 % each (one sigma) and by 0.29 % together (90 % within 0.47 %), half of the variance: `docs/anchors.md`.
 SHARED = 0.5
-FOREIGN = 0.05  # of a standard's prior that is left where it is another country's: what is built abroad is copied
-NO_RULE = 0.2  # share of bays and lane lines that follow no rule of the tables, or of rules that these lack; judged
-OF_NO_STANDARD = 0.02  # probability that an anchor, however sure that it is one, is of no standard of its kind
-LEAST_FIT = 2e-4  # of any anchor's fit
-MEAN_STEPS = 30  # of a mean of the anchors that mean one scale; it settles in about five
+FOREIGN = 0.05  # factor on the prior of a standard of other countries: what is built abroad is copied
+NO_RULE = 0.2  # share of bays and lane lines that follow no rule of the tables; judged
+OF_NO_STANDARD = 0.02  # probability that a true anchor, however certain its find, follows no standard of its kind
+LEAST_FIT = 2e-4  # least relative one sigma of any anchor's fit
+MEAN_STEPS = 30  # iterations of a mean of the anchors that agree on one scale; it settles in about five
 SETTLED_LOG = 1e-7
 ONE_SCALE = 0.5  # sigmas within which two such means are one
-LEAST_WEIGHT = 1e-4  # of a scale that a kind may mean, below which it is not carried on
+LEAST_WEIGHT = 1e-4  # least weight of a scale that a kind may mean; scales below are dropped
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """What the anchors that may be of one standard say (N): log scale, variance of the fit, probability to be one and
-    of that standard, and density where they are none; `rule` is the variance of the standard's things."""
+    """The N anchors that may follow one standard: log scale, variance of the fit, probability that it is an anchor of
+    that standard, and density if it is not. `rule` is the variance of objects built to the standard."""
 
     log_scale: np.ndarray
     fit: np.ndarray
@@ -45,26 +44,26 @@ class _Reading:
 
     @property
     def own(self) -> np.ndarray:
-        """(N,) variance by which each strays from others of its kind."""
+        """(N,) variance of each that it does not share with the others of its kind."""
         return (1 - SHARED) * self.fit + self.rule
 
     def members(self, log_scale: float) -> np.ndarray:
-        """(N,) probability of each to mean `log_scale`, if the kind does."""
+        """(N,) probability that each anchor means `log_scale`, if its kind does."""
         density = np.exp(-0.5 * (self.log_scale - log_scale) ** 2 / self.own) / np.sqrt(2 * np.pi * self.own)
         likely = self.probability * density
         return likely / (likely + self.mistaken)
 
     def fit_of_mean(self, member: np.ndarray) -> float:
-        """Variance that the fits leave in the mean of those that are each a `member` (N,) with that probability: what
-        they share stays, what is each one's own falls with their number. A lone anchor has all of its own."""
+        """Variance of the mean from the fits, where `member` (N,) is the probability that each anchor belongs to it:
+        the shared part stays, the part of each one's own falls with their number. A lone anchor has all of its own."""
         precision = 1 / self.own
-        alone = precision / (member @ precision)  # of each the weight in the mean, if it is a member
+        alone = precision / (member @ precision)  # weight of each in the mean, if it is a member
         shared = float(member * alone @ np.sqrt(self.fit)) ** 2
         return SHARED * shared + (1 - SHARED) * float(member * alone * np.minimum(alone, 1) @ self.fit)
 
     def means(self) -> list[float]:
-        """The scales about which anchors agree: means in which each counts by its probability to belong there
-        (redescending M-estimates), from every anchor's own on."""
+        """The log scales on which anchors agree: means in which each counts by its probability of belonging there
+        (redescending M-estimates), started from every anchor's own scale."""
         apart = ONE_SCALE * float(np.sqrt(self.own.min()))
         found: list[float] = []
         for mean in self.log_scale[np.unique(np.round(self.log_scale / apart), return_index=True)[1]].tolist():
@@ -79,11 +78,11 @@ class _Reading:
 
 
 def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence]:
-    """What `votes` say, a piece of evidence for each kind, in the order in which the kinds come. Those that only tell
-    the country (`Anchor.unlike`) are left out.
+    """The evidence of `votes`, one piece for each kind, in the order in which the kinds come. Votes that only tell the
+    country (`Anchor.unlike`) are left out.
 
     country : ISO code of two letters, empty where it is not known; standards of other countries are less likely there.
-    Bays are the country's alone, or those of everywhere.
+    Parking bays follow only the country's standards or, if it has none, those that apply everywhere.
     """
     votes = [
         vote.of(tuple(holding(vote.anchor.standards, country))) if vote.anchor.kind == BAYS else vote
@@ -95,35 +94,36 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
 
 
 def tells_country(vote: AnchorVote) -> bool:
-    """Whether it tells the country, where that is not known, and is no measure of the scale then. Bays are made for a
-    country's cars, so a wrong guess of the country makes bays and vehicles wrong together; of lane lines each country
-    has rules of its own. How large they are in cars suits some countries and not others."""
+    """Whether `vote` is evidence on the country and not on the scale, if the country is not known. Bays are made for a
+    country's cars, so a wrong guess of the country makes bays and vehicles wrong together; for lane lines each country
+    has rules of its own. Their size relative to cars suits some countries and not others."""
     bays = vote.anchor.kind == BAYS and any(standard.countries for standard in vote.anchor.standards)
     return bays or bool(vote.anchor.unlike)
 
 
 def country_agreement(votes: Sequence[AnchorVote], vehicles: Mapping[str, Posterior]) -> dict[str, float]:
-    """How likely it is, in each country, that `votes` and the vehicles are of one scale, but for a common factor.
+    """The likelihood of each country: that `votes` and the vehicles agree on one scale there, up to a common factor.
 
-    votes : those that tell the country; the priors of their standards are shares of those of a country. vehicles : the
-    scale by them, were they of that country, by code. A country of which no standard is known may have any other's.
+    votes : those that tell the country; the priors of their standards are shares of a country's anchors. vehicles : by
+    code of the country, the scale that the vehicles give if they are from there. A country without known standards may
+    follow those of any other.
     """
     kinds = dict.fromkeys(vote.anchor.kind for vote in votes)
     each = [_measuring([vote for vote in votes if vote.anchor.kind == kind]) for kind in kinds]
     out = {}
     for country, scale in vehicles.items():
         out[country] = 1.0
-        for these in each:  # each with what the vehicles and the kinds before it say together
+        for these in each:  # each kind is compared with the vehicles and the kinds before it together
             factor, scale = _agreement(these, country, scale)
             out[country] *= factor
     return out
 
 
 def _agreement(votes: Sequence[AnchorVote], country: str, scale: Posterior) -> tuple[float, Posterior]:
-    """The same of `votes` of one kind, in one country; and the `scale` there when they are known, too."""
+    """That likelihood for `votes` of one kind in one country; and the `scale` there, updated with them."""
     own = [holding(vote.anchor.standards, country) for vote in votes]
     like = np.array([_likeness(vote, these, country) for vote, these in zip(votes, own, strict=True)])
-    # Where none can be of that country its standards do not matter, for `like` is 0.
+    # If none can be of that country, its standards do not matter, for `like` is 0.
     some = like > 0 if like.any() else np.ones(len(like), bool)
     there = [vote.of(tuple(these)) for vote, these, keep in zip(votes, own, some, strict=True) if keep]
     (found,) = evidence_of(there, country)
@@ -133,7 +133,8 @@ def _agreement(votes: Sequence[AnchorVote], country: str, scale: Posterior) -> t
 
 
 def _likeness(vote: AnchorVote, own: Sequence[Standard], country: str) -> float:
-    """Probability that what follows a standard of `country` follows one of those, `own`, that `vote` may be of."""
+    """Probability that an anchor built to a standard of `country` follows one of `own`, those that `vote` may follow
+    there."""
     if country in vote.anchor.unlike:
         return 0.0
     likely = sum(standard.prior for standard in own)
@@ -143,8 +144,8 @@ def _likeness(vote: AnchorVote, own: Sequence[Standard], country: str) -> float:
 
 
 def _measuring(votes: Sequence[AnchorVote]) -> list[AnchorVote]:
-    """Of `votes` of one kind those that were found by their lines, if any were: what was only seen as boxes measures
-    the same things worse."""
+    """Of `votes` of one kind those that were found by their lines, if any were: those that were only seen as boxes
+    measure the same objects worse."""
     return [vote for vote in votes if len(vote.anchor.lines)] or list(votes)
 
 

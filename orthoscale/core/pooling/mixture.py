@@ -1,15 +1,15 @@
-"""Which votes are vehicles of which class, when neither the scale nor the share of each class is known.
+"""Assigns votes to classes of vehicles when neither the scale nor the share of each class is known.
 
-A place is a sample of its country: it has its own mix of vehicles, and the scale is confused with it. Minis at one
+A place is a sample of its country: it has its own mix of vehicles, and the mix is confused with the scale. Minis at one
 scale look much like compact cars at a smaller one, and many vans like cars at a larger one. So the scale is not sought
-but tried: for each one of a grid, the mix is fitted that would have to stand there, and each counts as much as its
-likelihood and the prior of the mix (a Dirichlet distribution about the country's) say. What comes out is not one scale
-but several with weights: the interval is as wide, and has as many humps, as the confusion. What tells mixes apart
-needs no scale: length against width, how much sizes spread, and groups of sizes with gaps between them.
+but tried: for each scale of a grid, the mix that would have to be there is fitted, and the scale is weighted by its
+likelihood and the prior of the mix (a Dirichlet distribution about the country's). The result is not one scale but
+several with weights: the interval is as wide, and has as many modes, as the confusion demands. What distinguishes mixes
+needs no scale: length against width, the spread of sizes, and groups of sizes with gaps between them.
 
-A few vehicles more or less may tip such a posterior from one hump to another. So it is averaged over what other draws
-of as many vehicles would have given (a bagged posterior, Huggins and Miller, Bayesian Analysis 18 (2023) 79): the value
-then hardly moves with single vehicles, and the interval covers what the tables of the classes do not get right.
+A few vehicles more or less may tip such a posterior from one mode to another. So it is averaged over bootstrap samples
+of the votes (a bagged posterior, Huggins and Miller, Bayesian Analysis 18 (2023) 79): the value then hardly moves with
+single vehicles, and the interval covers errors in the tables of the classes.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from .observed import FAITHFUL, Confusion, Drawing, Seen
 from .problem import UNKNOWNS, Hypotheses, Mix, Problem, levels, members
 from .solver import believed_share, solve
 
-SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # of the grid about the votes' median, and its two steps [log scale]
-COARSE_VOTES = 60  # votes by which the coarse grid is judged
-MANY = 200  # votes above which so many of them tell first what the scale cannot be
-# Votes that the scale is fitted to, at most. Of a thousand vehicles the number leaves 0.4 % open, of 5,000 less than
-# 0.2 %, where fleet and margin leave 3 to 5 %: more of them cost time and memory, and tell nothing.
+SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # half width of the grid about the votes' median, its two steps [log scale]
+COARSE_VOTES = 60  # number of votes to which the coarse grid is fitted
+MANY = 200  # if there are more votes, this many of them first rule out impossible scales
+# The greatest number of votes to which the scale is fitted. With a thousand vehicles, sampling leaves 0.4 %, with 5,000
+# less than 0.2 %, where fleet and margin leave 3 to 5 %: more votes cost time and memory, and tell nothing.
 MOST_VOTES = 5000
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
-COARSE_STEPS, FINE_STEPS = 12, 40  # of fitting, at most
-# A bag of as many votes as there are would count the luck of the draw twice, once in each posterior and once between
-# them; one of twice as many counts half of it again, for what the tables get wrong.
+COARSE_STEPS, FINE_STEPS = 12, 40  # most steps of fitting
+# Bags of as many votes as there are would count sampling noise twice, once in each posterior and once between them;
+# bags of twice as many count half of it again, to allow for errors of the tables.
 BAG = 2.0  # votes in a bag, per vote
 BAGS = 256
-BAG_AXES = 6  # directions in which that luck moves a posterior; on 16 real places they hold all but 0.4 % of it
+BAG_AXES = 6  # principal directions in which bags move a posterior; on 16 real places they hold all but 0.4 %
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,15 @@ class Fits:
     """One fit for each scale that is possible (V).
 
     weight : (V,) posterior probability of each; they sum to one.
-    log_evidence : of the fleet as a whole, comparable between fleets for the same votes, SHAPE_VEHICLES at most.
+    log_evidence : of the fleet as a whole, comparable between fleets for the same votes; it counts no more than
+        SHAPE_VEHICLES of them.
     log_scale : (V, 2) by lengths and by widths.
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
-    of_known : (2, 2) the same, were the class of each vote known.
-    drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
-    chance : variance of the answer between draws of as many vehicles [log scale]: more of them would lessen it.
-    member : (K + 1, N) probability of each class over all scales, LARGER last; what is missing from one is to be a
-        lorry, partly hidden, or none.
+    of_known : (2, 2) the same if the class of each vote were known.
+    drawing : (2, 2) what the detector's unknown shrinkage adds to `covariance`.
+    chance : variance of the scale between samples of as many vehicles [log scale]: more of them would reduce it.
+    member : (K + 1, N) probability of each class over all scales, LARGER last; the rest, to a sum of one, is that of
+        a lorry, a partly hidden vehicle or no vehicle.
     """
 
     weight: np.ndarray
@@ -67,15 +68,15 @@ class Fits:
 def fit(
     seen: Seen, mixes: Sequence[Mix], drawing: Drawing = FAITHFUL, confusion: Confusion | None = None
 ) -> list[Fits | None]:
-    """Of each of `mixes`, fits to the vehicles that are `seen`; None where no vote supports any class.
+    """For each of `mixes`, its fits to the vehicles that are `seen`; None where no vote supports any class.
 
-    Lengths and widths have a scale each, for fleet, margin and geometry may be off; `Mix.systematic` says how far
-    the two may part: that holds the vehicles to the shape of their class. The grid is one of the sum of the two with
+    Lengths and widths have a scale each, because fleet, margin and geometry may be off. `Mix.systematic` limits how far
+    the two may differ, which holds the vehicles to the shape of their class. The grid is over their sum, weighted by
     `Mix.weights`; `solver` fits the mix at each of its scales.
-    `drawing` is how the detector draws sizes. `confusion` is how it confuses kinds; needed where kinds are seen.
+    `drawing` is the detector's shrinkage. `confusion` is how it confuses kinds; needed where kinds are seen.
     """
     out: list[Fits | None] = [None] * len(mixes)
-    # Those of as many classes are solved in step, since for one fleet alone numpy's calls would take most of the time.
+    # Mixes of equally many classes are solved together: one by one, the overhead of numpy's calls would dominate.
     for number in {len(mix.classes) for mix in mixes}:
         alike = [k for k, mix in enumerate(mixes) if len(mix.classes) == number]
         problems = [Problem.of(seen, mixes[k], drawing, confusion) for k in alike]
@@ -86,7 +87,7 @@ def fit(
 
 
 def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
-    """What stands there at each scale that is possible: sought on a coarse grid with few votes, then on a fine one."""
+    """The fitted hypotheses of each problem that are possible: by a coarse grid with few votes, then by a fine one."""
     coarse = np.arange(-SOUGHT, SOUGHT, COARSE)
     few = [p.of_votes(COARSE_VOTES) for p in problems]
     solved = solve(few, [p.start(p.middle + coarse) for p in problems], COARSE_STEPS)
@@ -99,15 +100,15 @@ def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
 
 
 def _finer(problem: Problem, solved: Hypotheses) -> np.ndarray:
-    """The grid of step FINE about those scales of a coarse one that are possible."""
+    """A grid of step FINE about the possible scales of a coarse grid."""
     coarse = solved.unknown[solved.possible, :2] @ problem.weights
     fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE + FINE, FINE)
-    # The outermost lie a coarse step away: the last digits, and so the unit of sizes, must not decide on them.
+    # The outermost lie a coarse step away: rounding errors, and so the unit of sizes, must not decide on them.
     return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE + FINE / 100]
 
 
 def _fits(problem: Problem, solved: Hypotheses) -> Fits:
-    """The posterior over the grid's scales, and what the votes leave uncertain at the likeliest."""
+    """The posterior over the grid's scales, and the uncertainty that the votes leave at the likeliest."""
     most = problem.of_votes(MOST_VOTES)
     best = float(solved.log_probability.max())
     evidence = best + float(np.log(np.exp(solved.log_probability - best).sum() * FINE))
@@ -138,11 +139,11 @@ def _classes_of(problem: Problem, solved: Hypotheses, weight: np.ndarray) -> np.
 
 
 def _bags(problem: Problem, solved: Hypotheses) -> np.ndarray:
-    """(BAGS, V) by how much bags of votes, drawn with replacement, move the log probabilities of hypotheses.
+    """(BAGS, V) by how much bags of votes, drawn with replacement, change the log probabilities of hypotheses.
 
-    To first order no hypothesis need be fitted anew, since each is where its probability is greatest: a vote that
-    is drawn twice adds its log density once more. The sum over a bag is taken to be normal: so the bags do not
-    depend on the order of the votes, nor their cost on the number.
+    To first order no hypothesis needs to be fitted anew, since each is at the maximum of its probability: a vote that
+    is drawn twice adds its log density once more. The sum over a bag is taken to be normal, so bags do not depend on
+    the order of the votes, nor their cost on the number.
     """
     density = np.log(members(problem.table, *problem.along(solved))[1])
     apart = density - density.mean(1, keepdims=True)
@@ -156,11 +157,11 @@ def _bags(problem: Problem, solved: Hypotheses) -> np.ndarray:
 
 
 def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three (2, 2) of the scales by length and width at the `k`-th: with every unknown, with the drawing's share known,
-    and with the votes' classes known besides.
+    """Three covariances (2, 2) of the scales by length and width at the `k`-th hypothesis: with everything unknown,
+    with the shrinkage known, and with the votes' classes known as well.
 
-    The information of votes that wore their classes, with the unknowns' priors, less what the guessing loses: the
-    covariance of each vote's score over the classes that it may be of (Louis 1982); the shares are unknown, too.
+    The information is that of votes with known classes and of the unknowns' priors, minus what not knowing the classes
+    loses: the covariance of each vote's score over its possible classes (Louis 1982). The shares are unknowns, too.
     """
     (counts,), *_ = levels(solved.counts[k : k + 1], len(problem.shares))
     along = problem.along(solved.where(np.array([k])))
@@ -170,7 +171,7 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     many = len(share)
     score = np.zeros((*p.shape, UNKNOWNS + many))
     score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", problem.turn, pull)
-    # No more is believed of the shares than `counts` holds: else guessing would lose more of them than there is.
+    # The votes count for the shares only as far as in `counts`: else more of the information would be lost than exists.
     score[:many, :, UNKNOWNS:] = np.sqrt(believed_share(p.shape[1])) * (np.eye(many) - share)[:, None]
     expected = np.einsum("kn,knd->nd", p, score)
     lost = np.tensordot(p[..., None] * score, score, ((0, 1), (0, 1))) - expected.T @ expected
@@ -190,9 +191,9 @@ def _normalised(log_weight: np.ndarray) -> np.ndarray:
 
 
 def _of_scales(whole: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """(2, 2) of the first two unknowns, whose information is `whole` less what is `lost`.
+    """(2, 2) covariance of the first two unknowns, by the information `whole` minus what is `lost`.
 
-    In units in which all is known to one; a guess may lose most of what there is to know, but not more.
+    Computed in coordinates in which `whole` is the identity: along each direction at least LEAST_KEPT of it is left.
     """
     root = np.linalg.cholesky(np.linalg.inv(whole))
     kept, axes = np.linalg.eigh(np.eye(len(whole)) - root.T @ lost @ root)

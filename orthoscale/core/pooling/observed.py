@@ -1,13 +1,13 @@
-"""What is seen of vehicles, and how a detector distorts it: sizes are drawn to the usual, kinds are confused.
+"""What is seen of vehicles, and how a detector distorts it: sizes shrink towards the usual one, kinds are confused.
 
-Detectors draw vehicles as the usual vehicle that they expect, more or less: small ones too large, large ones too small.
-So the classes are compared with boxes as the detector draws them (`Drawing`), and how strongly it does is one more
-unknown: classes that stand apart (kei and ordinary cars) tell it.
+Detectors draw every vehicle a little like the usual one that they expect: small ones too large, large ones too small.
+So the sizes of classes are shrunk in the same way before they are compared with boxes (`Drawing`). How strongly the
+detector shrinks is one more unknown: classes of distinct sizes (kei and ordinary cars) determine it.
 
 What vehicles are called (car, pickup, van, larger) tells classes apart that sizes confuse: a street of pickups from one
 of cars at another scale. How often a detector is mistaken differs from place to place, and all vehicles of a place have
-that in common. So what those of each class are called is fitted like the shares of the classes, about what the
-detector's card says (`Confusion`): a hundred vehicles do not overrule what ten of them would leave open.
+that in common. So the shares of each class that are called each kind are fitted like the shares of the classes, about
+those on the detector's card (`Confusion`): a hundred vehicles do not settle what ten of them would leave open.
 """
 
 from __future__ import annotations
@@ -20,16 +20,18 @@ import numpy as np
 from ..boxes import KINDS
 from ..market_segments import Class
 
-# Of the vehicles of a kind, how many are called any kind however good the card's table is: readings have mistakes too.
+# Share of a kind's vehicles that are called any kind at random, however good the card's table: the readings by which it
+# was made contain mistakes too.
 CALLED_ANYTHING = 0.02
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a detector draws sizes: log box = log vehicle + share * (log usual - log vehicle), and the margin.
+    """A detector's shrinkage: log box = log vehicle + share * (log usual - log vehicle), and then the margin.
 
-    share, share_sd : (2,) of length and width, 0 for a faithful detector, and one sigma; both stray as one.
-    usual : (2,) length and width that boxes are drawn to [m].
+    share : (2,) of length and width, 0 for a faithful detector. share_sd : (2,) one sigma; the errors of the two are
+        fully correlated.
+    usual : (2,) length and width towards which boxes shrink [m].
     """
 
     share: np.ndarray
@@ -37,11 +39,11 @@ class Drawing:
     usual: np.ndarray
 
     def log_mean(self, part: Class) -> np.ndarray:
-        """(2,) of the boxes of a class, their margin taken off."""
+        """(2,) mean log length and log width of the boxes of a class, without the margin."""
         return part.log_mean + self.share * (np.log(self.usual) - part.log_mean)
 
     def covariance(self, covariance: np.ndarray) -> np.ndarray:
-        """(2, 2) of boxes, in logarithms, where that of vehicles is `covariance`."""
+        """(2, 2) covariance of boxes, in logarithms, from the `covariance` of the vehicles."""
         return covariance * np.outer(1 - self.share, 1 - self.share)
 
     def slope(self, part: Class) -> np.ndarray:
@@ -54,11 +56,11 @@ FAITHFUL = Drawing(np.zeros(2), np.zeros(2), np.ones(2))
 
 @dataclass(frozen=True)
 class Confusion:
-    """What vehicles are called, when they are of a kind: a measurer's confusion table, and how it holds at a place.
+    """What vehicles of each kind are called: a measurer's confusion matrix, and how far it holds at one place.
 
     table : (4, 4) shares; what vehicles of each of `boxes.KINDS` (rows) are called (columns), on average over places.
-    vehicles : a place has shares of its own, as if it had them from so many vehicles (a Dirichlet distribution: one
-        sigma of a share p is the root of p (1 - p) / (vehicles + 1)).
+    vehicles : a place has shares of its own, as if they came from so many vehicles (a Dirichlet distribution: one sigma
+        of a share p is the root of p (1 - p) / (vehicles + 1)).
     """
 
     table: np.ndarray
@@ -66,11 +68,11 @@ class Confusion:
 
     @property
     def shares(self) -> np.ndarray:
-        """(4, 4) `table` as it is believed; its rows sum to one."""
+        """(4, 4) `table` with CALLED_ANYTHING; its rows sum to one."""
         return (1 - CALLED_ANYTHING) * self.table / self.table.sum(1, keepdims=True) + CALLED_ANYTHING / len(KINDS)
 
     def called(self, classes: Sequence[Class]) -> np.ndarray:
-        """(K, 4) what the vehicles of each class are called, as parameters of Dirichlet distributions."""
+        """(K, 4) parameters of the Dirichlet distributions of what the vehicles of each class are called."""
         return self.vehicles * np.array([c.kinds for c in classes]) @ self.shares
 
 
@@ -78,8 +80,8 @@ class Confusion:
 class Seen:
     """What is seen of N vehicles.
 
-    log_size : (N, 2) logarithms of length and width [any unit]. noise : (N, 2) their one-sigma noise [the unit].
-    called : (N, 4) shares of `boxes.KINDS` that each is called, zeros where nobody looked; (N, 0) where nobody did.
+    log_size : (N, 2) logarithms of length and width [any unit]. noise : (N, 2) one-sigma noise of the sizes [the unit].
+    called : (N, 4) probability of each of `boxes.KINDS`, zeros where it was not assessed; (N, 0) if it never was.
     """
 
     log_size: np.ndarray

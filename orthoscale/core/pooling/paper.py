@@ -26,8 +26,8 @@ class PaperScale:
     """Metres per unit of the source, by the paper's estimator.
 
     value : the mean of the scales that count.
-    interval90 : 90 % interval of that mean, from the scatter between vehicles alone (Student's t). It has no part for
-        what is not known of the fleet, the boxes' margin or the geometry: with many vehicles it is far too narrow.
+    interval90 : 90 % interval of that mean, from the scatter between vehicles alone (Student's t). It leaves out the
+        uncertainty of the fleet, the boxes' margin and the geometry: with many vehicles it is far too narrow.
     used : (N,) bool, which scales count.
     """
 
@@ -46,9 +46,9 @@ def pool_iqr(
 ) -> PaperScale:
     """One scale from `scales` (N,), metres per unit by each vehicle, whose boxes have `scores` (N,) in 0..1.
 
-    Scores above `min_score`, at least `min_vehicles` of them, then the mean of the values within
-    ``[Q1 - 1.5 IQR, Q3 + 1.5 IQR]``, quartiles interpolated linearly. Scales that are not finite do not count.
-    Raises TooLittleEvidence.
+    Only scores above `min_score` count. The scale is the mean of their values within ``[Q1 - 1.5 IQR, Q3 + 1.5 IQR]``,
+    quartiles interpolated linearly. Scales that are not finite do not count. Raises TooLittleEvidence for fewer than
+    `min_vehicles` such scores.
     """
     scales, scores = np.asarray(scales, float), np.asarray(scores, float)
     confident = (scores > min_score) & np.isfinite(scales)
@@ -67,8 +67,8 @@ def pool_iqr(
 
 
 def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
-    """What the paper makes of `votes`: each vehicle says the mean of the scales by its length and by its width, with
-    the mean size of `fleet` (``PAPER`` has the paper's own). Boxes are taken as they are, without their margin.
+    """The paper's scale from `votes`: each vehicle gives the mean of the scales by its length and by its width, with
+    the mean size of `fleet` (``PAPER`` has the paper's own). No margin is taken off the boxes.
 
     Raises TooLittleEvidence.
     """

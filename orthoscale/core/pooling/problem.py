@@ -1,4 +1,4 @@
-"""The fit of one fleet to the votes, as a problem for `solver`: what each vote says of each class, and the unknowns."""
+"""The fit of one fleet to the votes, as a problem for `solver`: residuals of each vote for each class, and unknowns."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from .beside_fleet import (
 )
 from .observed import Confusion, Drawing, Seen
 
-IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tried again
+IMPOSSIBLE = 9.0  # how far below the best log probability a scale is not tried again
 UNKNOWNS = 5
 
 
 @dataclass(frozen=True)
 class Mix:
-    """What a fleet tells the fit.
+    """The input of a fit from the fleet.
 
-    systematic : (2, 2) covariance by which lengths and widths may be off together. weights : (2,) of the two scales.
-    place : how much places are like their country (`market_segments.PLACE_VEHICLES`).
+    systematic : (2, 2) covariance of the errors common to all lengths and to all widths. weights : (2,) of the two
+    scales. place : how closely places follow their country's mix (`market_segments.PLACE_VEHICLES`).
     """
 
     classes: Sequence[Class]
@@ -47,11 +47,11 @@ class Mix:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """What stands there for each of V hypotheses: the scale, and how much the place is like its country.
+    """V hypotheses on the scale and on how closely the place follows its country, with the mix fitted to each.
 
-    prior : (V, C) what a place has beforehand, counts : afterwards, as the parameters of Dirichlet distributions
-    (`levels`). log_prior : (V,) log probability beforehand; log_probability : afterwards, but for a
-    constant. unknown : (V, UNKNOWNS).
+    prior : (V, C) the mix beforehand, counts : afterwards, as the parameters of Dirichlet distributions (`levels`).
+    log_prior : (V,) log probability beforehand; log_probability : afterwards, up to a constant.
+    unknown : (V, UNKNOWNS).
     """
 
     prior: np.ndarray
@@ -62,26 +62,26 @@ class Hypotheses:
 
     @property
     def possible(self) -> np.ndarray:
-        """(V,) bool."""
+        """(V,) bool: which are within IMPOSSIBLE of the best."""
         return self.log_probability > self.log_probability.max() - IMPOSSIBLE
 
     def where(self, wanted: np.ndarray) -> Hypotheses:
-        """Only the hypotheses that are `wanted` (V,)."""
+        """Only the hypotheses that are `wanted`: (V,) bool, or their indices."""
         return Hypotheses(*(getattr(self, field.name)[wanted] for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class Problem:
-    """K classes, LARGER, LORRIES and partly hidden vehicles, N votes, and UNKNOWNS: two scales, the stray of the larger
-    vehicles' mean here from LARGER's (2), and of the drawing's share [its one sigma]. They are solved for together:
-    where most votes are larger vehicles, scales and stray move as one.
+    """K classes, LARGER, LORRIES and partly hidden vehicles, N votes, and UNKNOWNS: the two log scales, the deviations
+    of the larger vehicles' mean at this place from LARGER's (2), and that of the shrinkage [its one sigma]. They are
+    solved for together: where most votes are larger vehicles, scales and deviations move as one.
 
-    gap : (K + 3, N, 2) log scale by each vote, were it of each class. inverse : (K + 3, N, 2, 2) of its covariance.
-    turn : (K + 3, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
-    shares : (K,) of the classes in the country. larger : share of larger vehicles beside them. place : as of `Mix`.
+    gap : (K + 3, N, 2) log scale by each vote if it is of each class. inverse : (K + 3, N, 2, 2) of its covariance.
+    turn : (K + 3, 2, UNKNOWNS) derivatives of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse prior covariance.
+    shares : (K,) of the classes in the country. larger : share of larger vehicles beside them. place : as in `Mix`.
     basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
-    called : (N, J) of `Seen`; J is the number of kinds, or 0. class_called : (K + 3, J) what is called so of each class
-        in general, as the parameters of Dirichlet distributions.
+    called : (N, J) as in `Seen`; J is the number of kinds, or 0. class_called : (K + 3, J) what vehicles of each class
+        are called in general, as the parameters of Dirichlet distributions.
     """
 
     gap: np.ndarray
@@ -98,16 +98,16 @@ class Problem:
 
     @classmethod
     def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> Problem:
-        """That of what is `seen` for a fleet; see `mixture.fit`."""
+        """The problem of the vehicles `seen` and one fleet; see `mixture.fit`."""
         log_size, classes, weights = seen.log_size, mix.classes, mix.weights
         every = [*classes, LARGER, LORRIES, partly_hidden(classes)]
         means = np.array([drawing.log_mean(c) for c in every])
-        # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
-        # out large by chance would count for more. The scale for it need only be rough.
+        # A box's relative noise is taken of the size that its vehicle should have, not of the measured size: else boxes
+        # that came out large by chance would count for more. A rough scale is enough for that.
         rough = np.median(np.median(means[: len(classes)], axis=0) - log_size, axis=0)
         noise = (seen.noise / np.exp(means - rough)[:, None]) ** 2
         spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
-        tie = np.linalg.inv(mix.systematic)  # holds the two scales to one another, and leaves what they share free
+        tie = np.linalg.inv(mix.systematic)  # ties the two scales to each other, and leaves what they share free
         tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
         turn = np.zeros((len(every), 2, UNKNOWNS))
         turn[:, :, :2] = np.eye(2)
@@ -136,18 +136,18 @@ class Problem:
 
     @property
     def middle(self) -> float:
-        """The scale by the votes' median, were all ordinary."""
+        """The log scale by the votes' median, if all are of the fleet's classes."""
         return float(np.median(self.gap[: len(self.shares)].mean(0) @ self.weights))
 
     def of_votes(self, number: int) -> Problem:
-        """The same for `number` of the votes, if there are more."""
+        """The same for only `number` of the votes, evenly chosen, if there are more."""
         if number >= self.gap.shape[1]:
             return self
         some = np.linspace(0, self.gap.shape[1] - 1, number).astype(int)
         return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some], called=self.called[some])
 
     def start(self, grid: np.ndarray) -> Hypotheses:
-        """The scales of `grid` (V,), each once for each of `place`, with the country's mix."""
+        """Hypotheses for the log scales of `grid` (V,), each once for each of `place`, with the country's mix."""
         likely = np.repeat([kind.probability for kind in self.place], len(grid))
         unknown = np.zeros((len(likely), UNKNOWNS))
         unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
@@ -163,9 +163,9 @@ class Problem:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(K + 3, N, 7 + J) of each vote: the log density of a class is linear in these, by `coefficients`, which are
-        quadratic in how far the unknowns move the class. Of the first six Newton's steps are made, the next J say what
-        the vote is called."""
+        """(K + 3, N, 7 + J) features of each vote: the log density of a class is linear in these, with `coefficients`
+        that are quadratic in how far the unknowns move the class. Newton's steps are made from the first six; the next
+        J say what the vote is called."""
         i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
         g0, g1 = self.gap[..., 0], self.gap[..., 1]
         b0, b1 = i00 * g0 + i01 * g1, i01 * g0 + i11 * g1
@@ -176,13 +176,13 @@ class Problem:
         )
 
     def along(self, solved: Hypotheses) -> tuple[np.ndarray, np.ndarray]:
-        """`coefficients` of hypotheses for this fleet."""
+        """`coefficients` of the hypotheses `solved`, for this fleet."""
         return coefficients(self.turn[None].repeat(len(solved.unknown), 0), solved.unknown, solved.counts)
 
 
 def coefficients(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 3, V, 7 + J) coefficients of `Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
-    with `turn` (V, K + 3, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
+    """(K + 3, V, 7 + J) coefficients of `Problem.table` for hypotheses with `unknown` (V, UNKNOWNS), `counts` (V, C)
+    and `turn` (V, K + 3, 2, UNKNOWNS), that of each one's fleet; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
     log_share, *rest = (
         (digamma(level) - digamma(level.sum(1, keepdims=True))).T
@@ -193,14 +193,14 @@ def coefficients(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> t
         log_share = np.vstack([log_share + within, other])
     log_share, none = log_share[:-1], log_share[-1]
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
-    if called:  # against what outliers are called
+    if called:  # relative to what outliers are called
         along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
     return np.stack(along, -1), OUTLIER_DENSITY * np.exp(none)
 
 
 def members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 3, V, N) probability of each class for each hypothesis and vote of a `table`, and (V, N) density of the
-    vote; `along` and `none` are those of `coefficients`."""
+    """(K + 3, V, N) probability of each class for each hypothesis and vote of a `table`; and (V, N) density of the
+    vote. `along` and `none` are from `coefficients`."""
     p = along @ table.transpose(0, 2, 1)
     np.exp(p, out=p)
     total = p.sum(0)
@@ -210,9 +210,9 @@ def members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np.
 
 
 def levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
-    """Of `counts` (V, C): (V, K) of the fleet's classes, which are so `many`; for LARGER, LORRIES, hidden vehicles and
-    outliers in turn (V, 2) of all that is before it together, and of it; and if kinds are seen (V, J) for each of the
-    K + 3 classes, of what it is called. A place that is odd in one is not therefore odd in another."""
+    """`counts` (V, C), split by level: (V, K) of the fleet's classes, which are so `many`; for LARGER, LORRIES, hidden
+    vehicles and outliers in turn (V, 2), of all levels before it together, and of itself; and if kinds are seen (V, J)
+    for each of the K + 3 classes, of what it is called. A place that is odd in one level need not be odd in another."""
     ends = np.cumsum([many, *[2] * (BESIDE_FLEET + 1)])
     *levels, called = np.split(counts, ends, axis=1)
     return *levels, *(np.split(called, many + BESIDE_FLEET, axis=1) if called.size else [])

@@ -1,14 +1,14 @@
-"""Many vehicles, one scale: robust pooling in log space, with an interval that says where its width comes from.
+"""Many vehicles, one scale: robust pooling in log space, with an interval and the parts of its uncertainty.
 
 In logarithms every vehicle reads ``log size = log fleet size - log scale + noise``, for length and for width. `mixture`
-sorts out which votes are vehicles of which class and gives two scales, one from lengths and one from widths, for each
-mix of vehicles that may stand there. Their joint covariance is
+finds which votes are vehicles of which class and gives two scales, one from lengths and one from widths, for each mix
+of vehicles that may be there. Their joint covariance is
 
-    covariance = votes and their classes  +  what is not known of the fleet's mean
-                 + what is not known of the detector's margin  + what is not known of the geometry
+    covariance = votes and their classes  +  uncertainty of the fleet's mean
+                 + uncertainty of the detector's margin  + uncertainty of the geometry
 
-and the answer is their best linear combination (generalised least squares). So lengths rule where pixels are coarse and
-widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles.
+and the answer is their best linear combination (generalised least squares). So lengths dominate where pixels are coarse
+and widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from .posterior import Posterior, of_median
 from .problem import Mix
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
-SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
-# Share of the variance of a measured box that all views of a vehicle have alike: its paint, its shade, its shape. Of
-# nine vehicles of `brighton`, 29 boxes read by eye, lengths err by 1.8 % (one sigma) from vehicle to vehicle and by
-# 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
+SMALLEST_SHARE = 0.3  # least share of a box that must be left once the margin is taken off
+# Share of the variance of a measured box that all views of a vehicle have in common: from its paint, its shade, its
+# shape. On nine vehicles of `brighton`, with 29 boxes read by eye, lengths err by 1.8 % (one sigma) from vehicle to
+# vehicle and by 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
 OF_THE_VEHICLE = 0.5
 LIKELY = 0.01  # probability below which a fleet is not reported
-MOVED_BY = 7  # of the likeliest fleets are asked what all votes change
-LEAST_LEARNT = 0.05  # share of what is not known beforehand of lengths against widths that vehicles tell, at least
+MOVED_BY = 7  # number of the likeliest fleets that are fitted to all votes
+LEAST_LEARNT = 0.05  # least share of the prior variance of lengths against widths that vehicles remove
 FEW = 60  # votes by which candidate fleets are compared; their shapes count for 25 at most (`solver`)
-# How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
-# orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
-# (mean log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py),
-# for boxes are too wide or too long together, as vehicles of another country are. What they are called is believed
-# (`by_kind`); the little that it adds to the shapes' tenth is counted twice.
+# How far the evidence of shapes on the country is believed: the power of its likelihood. In simulation shapes tell
+# Japan from Germany. On 12 orthophotos of six countries the boxes of version 5 made the true country the less likely
+# the more they were believed (mean log probability -7.0 if fully, -4.3 by a tenth, -4.2 if not at all:
+# benchmarks/country_from_shapes.py), for boxes are too wide or too long together, as vehicles of another country are.
+# The kinds are fully believed (`by_kind`); the little that they add to the shapes' tenth is counted twice.
 SHAPES_TOLD = 0.1
 
 
 @dataclass(frozen=True)
 class _Vehicles:
-    """What the vehicles say, if they are of one fleet."""
+    """The scale by the vehicles, if they are of one fleet."""
 
     posterior: Posterior
     parts: dict[str, float]
@@ -79,10 +79,10 @@ def pool(
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
     `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
-    height, effective height), shared by all votes. `evidence` is what else is known of the scale, `anchors` what
-    was found of standard size; `country` tells their standards apart (`evidence_of`); where it is
-    not known, some tell the candidates of `fleet` apart (`tells_country`).
-    Where `fleet` has candidates, each is tried, and counts as much as vehicles and anchors make it likely.
+    height, effective height), shared by all votes. `evidence` is other evidence on the scale, `anchors` the objects of
+    standard size that were found. `country` decides between their standards (`evidence_of`); if it is not known, some
+    anchors help to decide between the candidates of `fleet` (`tells_country`).
+    If `fleet` has candidates, each is tried, and weighted by its probability given the vehicles and anchors.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
@@ -91,7 +91,7 @@ def pool(
     if measurable.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(f"{amount(int(measurable.sum()), 'usable vehicles')}, {MIN_VEHICLES} are needed")
     index = np.flatnonzero(measurable)
-    index = index[np.lexsort(size[index].T[::-1])]  # some stages take each so many-th: by size, whatever the order
+    index = index[np.lexsort(size[index].T[::-1])]  # some stages take every n-th: sorted, so that order is irrelevant
     size = size[index]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
     seen = Seen(np.log(size), vote_noise(votes, ruler)[index], _called(votes, ruler)[index])
@@ -137,8 +137,8 @@ def pool(
 
 
 def _widened(best: _Vehicles) -> tuple[Posterior, dict[str, float]]:
-    """What vehicles say of the scale, and the parts of its uncertainty. Lengths and widths that contradict each other
-    know less than either claims (Birge 1932): what they share is widened."""
+    """The posterior of the scale by the vehicles, and the parts of its uncertainty; widened if lengths and widths
+    contradict each other, for then both are less certain than they claim (Birge 1932)."""
     posterior, parts = best.posterior, dict(best.parts)
     if best.tension > CHECK_LIMIT:
         widened = posterior.widened(best.tension / CHECK_LIMIT)
@@ -148,16 +148,16 @@ def _widened(best: _Vehicles) -> tuple[Posterior, dict[str, float]]:
 
 
 def _checks(best: _Vehicles, mean: np.ndarray) -> dict[str, float]:
-    """The scale by lengths, by widths and by their difference alone, where there is one. mean : (2,) log of the
-    vehicles' sizes [units]."""
-    alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
+    """The scale by lengths alone, by widths alone and, if the two differ, by length minus width. mean : (2,) mean log
+    length and width of the vehicles [units]."""
+    alike = np.exp(best.estimates + mean)  # [m] mean size of the vehicles here by the fleet, along both axes
     by_size = dict(zip(("length", "width"), np.exp(best.estimates).tolist(), strict=True))
     longer, units = alike[0] - alike[1], float(np.subtract(*np.exp(mean)))
     return {**by_size, "length_minus_width": float(longer / units)} if units > 0 else by_size
 
 
 def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[AnchorVote]) -> Iterator[Remark]:
-    """On the vehicles' shapes, and on anchors that do not measure; `telling` : those that tell the country."""
+    """Remarks on the vehicles' shapes, and on anchors that do not count. telling : those that tell the country."""
     if best.tension > CHECK_LIMIT:
         yield remark_on_shape(float(best.estimates[0] - best.estimates[1]), best.tension)
     if telling:
@@ -168,8 +168,8 @@ def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[A
 
 
 def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own, else the ruler's; and what its views
-    share."""
+    """(N, 2) one-sigma noise of each vote's size [units]: that of its boxes, or else the ruler's; and the errors that
+    its views share."""
     views = np.maximum(votes.views, 1)
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 * of_median(views)[:, None]
     if votes.sigma is not None:
@@ -181,31 +181,31 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
 
 
 def _called(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 4) what each vote is called, zeros where nobody looked; (N, 0) where that tells nothing."""
+    """(N, 4) probability of each kind for each vote, zeros where it was not assessed; (N, 0) if kinds are not used."""
     if votes.kinds is None or not ruler.kinds or np.isnan(votes.kinds).all():
         return np.empty((len(votes), 0))
     return np.where(np.isnan(votes.kinds).any(1, keepdims=True), 0.0, votes.kinds)
 
 
 def left_by_views(views: np.ndarray) -> np.ndarray:
-    """(N,) share of a measured box's sigma that is left of it in the middle of so many `views` (N,) of one vehicle."""
+    """(N,) share of a measured box's sigma that is left in the median of so many `views` (N,) of one vehicle."""
     return np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) * of_median(np.maximum(views, 1)))
 
 
 def _of_candidates(
     seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], ruler: Ruler, telling: Sequence[AnchorVote]
 ) -> tuple[_Vehicles, dict[str, float]]:
-    """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
+    """The scale by the votes if they are of one of the candidates of `fleet`; and the probability of each, by code.
 
-    Arguments as of `_of_fleets`; `telling` are anchors that suit some candidates and not others. Everything is the
-    likeliest's, but for the posterior, which is that of them all: what it is wider by is a part of not knowing the
-    fleet.
+    Arguments as of `_of_fleets`; `telling` are anchors that suit some candidates and not others. All values are those
+    of the likeliest candidate, except the posterior, which is that of all candidates: by how much it is wider counts
+    as uncertainty of the fleet.
     """
     candidates, count = fleet.candidates or (fleet,), len(seen)
     prior = np.array(fleet.prior or (1.0,))
 
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
-        """What `number` of the votes say, were they of each candidate in turn; without those that they cannot be."""
+        """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
         found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.drawing, ruler.confusion)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
@@ -221,14 +221,14 @@ def _of_candidates(
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
     full = tried(several, count) if count > FEW else {k: each[k] for k in several}
-    # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
-    # badly: its scales may have two humps, and all votes then choose another.
+    # The shift of the likeliest fleets' scales from FEW to all votes is applied to every fleet. One fleet alone would
+    # give it too badly: its posterior may have two modes, of which all votes choose the other.
     moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
     scales = {candidates[k].code: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
     suits = country_agreement(telling, scales)
     total = sum(p * suits[candidates[k].code] for k, p in probability.items())
     probability = {k: p * suits[candidates[k].code] / total for k, p in probability.items()}
-    best = full[max(full, key=probability.__getitem__)]  # the likeliest may be none that all votes can be of
+    best = full[max(full, key=probability.__getitem__)]  # all votes may be impossible for the likeliest one
     posterior = Posterior.mixed(list(scales.values()), np.array(list(probability.values())))
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
@@ -243,15 +243,15 @@ def _of_fleets(
     drawing: Drawing,
     confusion: Confusion | None,
 ) -> list[_Vehicles | None]:
-    """What the vehicles that are `seen` say, were they of each of `fleets`, None where they cannot be; `known` are the
-    (2, 2) covariances of what else is uncertain about them all."""
+    """The scale by the vehicles `seen` under each of `fleets`, None where they cannot be of it. known : by part of the
+    uncertainty, the (2, 2) covariances of the other errors common to all of them."""
     every, mixes = [], []
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
         shared = {"fleet": drawing.covariance(fleet.class_mean_covariance(classes)), **known}
         systematic = _believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
-        # By what all votes share alone: the fit ties the two scales by that, and so has in it what votes scatter by.
+        # Weights by the common errors alone: the fit ties the two scales by these, and so contains the votes' scatter.
         mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))
     found = fit(seen, mixes, drawing, confusion)
     return [
@@ -261,7 +261,7 @@ def _of_fleets(
 
 
 def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicles:
-    """What `fits` to `mix` say; `shared` are the (2, 2) parts of `Mix.systematic`."""
+    """The scale by the `fits` to `mix`; `shared` are the (2, 2) parts of `Mix.systematic`."""
     systematic, weights = mix.systematic, mix.weights
     estimates = fits.weight @ fits.log_scale
     posterior = Posterior(
@@ -270,24 +270,24 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
         np.full(len(fits.weight), np.sqrt(weights @ systematic @ weights + FINE**2 / 12)),
     )
     parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
-    # What more vehicles would tell is sampling, and no less than how far the answer wanders between draws of as many.
-    # How strongly the detector draws to the usual is known no better from more of them: it is the margin's kin. Nor is
-    # the mix that stands here: it is the fleet's.
+    # Sampling is what more vehicles would reduce; it is no less than the scatter of the scale between samples of as
+    # many. More vehicles do not determine the shrinkage any better, so that counts as margin; nor the mix of vehicles
+    # at this place, which counts as fleet.
     variance = posterior.spread**2
     rest = variance - sum(v**2 for v in parts.values())
     sampling = min(max(float(weights @ fits.covariance @ weights), fits.chance), rest)
     drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
     parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
     parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
-    # Lengths and widths are tied beforehand by what both should say. So they have come nearer to each other: the
-    # difference of the two in the posterior has a variance of what it was beforehand less what is left of that.
+    # The prior ties the scales by lengths and by widths, so the fit has brought them nearer to each other: the
+    # variance of their fitted difference is the prior variance minus the posterior one.
     apart = np.array([1.0, -1.0])
     before, left = apart @ systematic @ apart, fits.of_known @ apart
     learnt = max(before - apart @ left, LEAST_LEARNT * before)
     difference = apart @ estimates
     tension = abs(difference) / np.sqrt(learnt)
-    # What votes alone say of either: the one that they tell less well has come further. Of these, not of the two that
-    # are tied, `weights` below are in the answer.
+    # The two scales by the votes alone: the one that they determine less well was moved further. `weights` below are
+    # those of these two in the answer, not of the tied ones.
     estimates = estimates + left / (apart @ left) * difference * (before / learnt - 1)
     return _Vehicles(
         posterior=posterior,
@@ -302,21 +302,22 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
 
 
 def _probabilities(each: Mapping[int, _Vehicles], prior: np.ndarray) -> dict[int, float]:
-    """Of each fleet, by what it makes of the vehicles and how likely it was at first."""
+    """The probability of each fleet, by the evidence of the vehicles' shapes and its `prior`."""
     log = np.array([v.log_evidence for v in each.values()])
     likelihood = prior[list(each)] * np.exp(SHAPES_TOLD * (log - log.max()))
     return dict(zip(each, (likelihood / likelihood.sum()).tolist(), strict=True))
 
 
 def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
-    """(2, 2): the margin's uncertainty as a share of length and width, and the boxes' relative bias, own and shared."""
+    """(2, 2) covariance from the margin's uncertainty, as a share of length and width, and from the box bias, own and
+    shared. share_px : (2,) one pixel as a share of length and width."""
     own = (np.asarray(ruler.margin_sd) * share_px) ** 2 + np.asarray(ruler.bias_sd) ** 2
     return np.diag(own) + ruler.common_sd**2
 
 
 def _believed(covariance: np.ndarray) -> np.ndarray:
-    """(2, 2) `covariance` of two estimates with no more in common than either has: else one of them would have a
-    negative weight in the best combination, which trusts the correlation more than it deserves."""
+    """(2, 2) `covariance` of two estimates, its off-diagonal no more than either variance: else one of them would have
+    a negative weight in the best combination, which trusts the correlation more than it deserves."""
     common = min(covariance[0, 1], *np.diag(covariance))
     return np.array([[covariance[0, 0], common], [common, covariance[1, 1]]])
 

@@ -1,7 +1,7 @@
-"""Fits hypotheses: at each scale, the mix of vehicles that would have to stand there.
+"""Fits hypotheses: at each scale, the mix of vehicles that would have to be there.
 
 The shares of the classes are fitted by variational Bayes (Bishop, Pattern Recognition and Machine Learning, 10.2, with
-the components known), and what else is unknown by Newton's steps.
+the components known), and the other unknowns by Newton's method.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from scipy.special import digamma, gammaln
 
 from .problem import UNKNOWNS, Hypotheses, Problem, coefficients, levels, members
 
-# The tables' shapes (spreads, tails, shares of classes) are good to about 14 %, which is what 25 vehicles can tell of a
-# spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
-# what is known. On those 52 places the densities of the truths are e^4 times higher with 25 than with 50, with 12 they
-# are lower again.
+# The shapes of the tables (spreads, tails, shares of classes) are good to about 14 %, to which 25 vehicles determine a
+# spread. More vehicles do not make one fleet or mix more likely than another: they would distinguish what is finer than
+# the tables. On the 52 places of `beside_fleet` the densities of the true scales are e^4 times higher with 25 than with
+# 50; with 12 they are lower again.
 SHAPE_VEHICLES = 25
 STILL = 3e-4  # a hypothesis is fitted until nothing moves by more
-# Log probability below the best, by steps of fitting, from which a scale is given up. Of those that turned out possible
-# on six real places with 84 fleets, none was below 100 after two steps, 36 after four, 13 after eight.
+# By number of steps: how far below the best log probability a scale is given up. Of those that turned out possible on
+# six real places with 84 fleets, none was further below than 100 after two steps, 36 after four, 13 after eight.
 GIVEN_UP = {2: 130.0, 4: 60.0, 8: 25.0}
 
 
 def solve(problems: Sequence[Problem], starts: Sequence[Hypotheses], steps: int) -> list[Hypotheses]:
-    """What stands there for each hypothesis of each of `starts`, from where that is, after so many `steps` at most.
+    """Each hypothesis of each of `starts`, fitted from there by at most `steps` steps.
 
-    `problems` are of the same votes and of as many classes. They are solved in step, and each hypothesis only until it
+    `problems` have the same votes and equally many classes. They are solved together, and each hypothesis only until it
     is still, or so unlikely that it will not become possible.
     """
     fitting = _Fitting(problems, starts)
@@ -45,14 +45,15 @@ def solve(problems: Sequence[Problem], starts: Sequence[Hypotheses], steps: int)
 
 
 def believed_share(votes: int) -> float:
-    """Share of what `votes` would tell of shapes that is believed (SHAPE_VEHICLES)."""
+    """Share of the evidence of so many `votes` on shapes that is believed (SHAPE_VEHICLES)."""
     return min(1.0, SHAPE_VEHICLES / votes)
 
 
 class _Fitting:
-    """The hypotheses of all problems while they are fitted, one array for all of them (V), which `owner` tells apart.
+    """The hypotheses of all problems while they are fitted, in joint arrays (V); `owner` is the index of each one's
+    problem.
 
-    The arguments of the methods are numbers of hypotheses (G,).
+    The arguments of the methods are indices of hypotheses (G,).
     """
 
     def __init__(self, problems: Sequence[Problem], starts: Sequence[Hypotheses]) -> None:
@@ -95,7 +96,7 @@ class _Fitting:
         return self.hopeful[going]
 
     def finished(self) -> list[Hypotheses]:
-        """Those of each problem."""
+        """The fitted hypotheses of each problem."""
         self._judge(np.flatnonzero(self.hopeful))
         every = Hypotheses(self.start.prior, self.start.log_prior, self.counts, self.unknown, self.log_probability)
         return [every.where(self.owner == c) for c in range(len(self.problems))]
@@ -118,12 +119,12 @@ class _Fitting:
     def _newton(
         self, going: np.ndarray, turn: np.ndarray, along: np.ndarray, sums: np.ndarray, curvature: np.ndarray
     ) -> np.ndarray:
-        """(G, UNKNOWNS) the step of what is unknown, along which the scale stays."""
+        """(G, UNKNOWNS) a Newton step of the unknowns, along which the scale stays."""
         mine = self.owner[going]
         prior, basis = self.priors[mine], self.bases[mine]
         a00, a01, a11, b0, b1 = np.moveaxis(sums[..., :5], -1, 0)  # (K + 3, G) each
         m0, m1 = along[..., 3], along[..., 4]
-        pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 3, G) upwards in scale
+        pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 3, G) gradients
         right = np.einsum("vkiu,ikv->vu", turn, pulled) - np.einsum("vu,vuw->vw", self.unknown[going], prior)
         whole = curvature.reshape(-1, UNKNOWNS, UNKNOWNS) + prior
         self.information[going] = basis.transpose(0, 2, 1) @ whole @ basis
@@ -132,7 +133,7 @@ class _Fitting:
         return step
 
     def _counted(self, going: np.ndarray, sums: np.ndarray) -> np.ndarray:
-        """(G, C) parameters of the Dirichlet distributions after the votes were counted."""
+        """(G, C) parameters of the Dirichlet distributions, with the votes added."""
         found, called = sums[..., 5], sums[..., 6:].transpose(1, 0, 2).reshape(len(going), -1)
         within = found.cumsum(0)[self.classes - 1 :]  # of a level with all levels inside it, (BESIDE_FLEET + 1, G)
         beside = [*found[self.classes :], self.votes - within[-1]]
@@ -141,14 +142,14 @@ class _Fitting:
         return after
 
     def _judge(self, which: np.ndarray) -> None:
-        """Update `log_probability` of these."""
+        """Update `log_probability` of the hypotheses `which`."""
         mine, unknown = self.owner[which], self.unknown[which]
         found = self.log_density[which] - 0.5 * np.einsum("vi,vij,vj->v", unknown, self.priors[mine], unknown)
         found = self.believed_share * found + self.start.log_prior[which]
         after, before = levels(self.counts[which], self.classes), levels(self.start.prior[which], self.classes)
         for one, other in zip(after, before, strict=True):
             found -= divergence(one, other)
-        # Laplace's approximation of the integral over what else is unknown.
+        # Laplace's approximation of the integral over the other unknowns.
         free = self.free_priors
         information = self.believed_share * (self.information[which] - free[mine]) + free[mine]
         self.log_probability[which] = found + 0.5 * (

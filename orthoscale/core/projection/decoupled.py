@@ -1,18 +1,18 @@
 """The paper's decoupled stereoscopic projection (arXiv 2603.07535), and what it leaves out.
 
 It looks at a vehicle across the viewing ray. There its ground extent along the ray's azimuth (radial) is foreshortened
-and its height adds to it; its extent across (tangential) is seen in full. So length and width, apart from each other,
-appear as effective extents ``L_eff`` and ``W_eff`` [m] at the distance ``altitude / sin a``, and one box side l gives
+and its height adds to it; its extent across (tangential) is seen in full. So length and width, each by itself, appear
+as effective extents ``L_eff`` and ``W_eff`` [m] at the distance ``altitude / sin a``, and one box side l [px] gives
 
     s = L_eff sin a / l        metres per pixel of the nadir view from the same altitude, altitude = s f.
 
-That takes a pixel to be ``1/f`` of the distance. In a flat image it is ``1/f`` of the depth, which is shorter by
-``|ray| / f``, the length of the pixel's ray in focal lengths: the authors' program has that factor, the text does not.
-Neither has the second such factor, by which a flat image stretches radially. Alone that makes scales at nadir 5 % too
-small with DenseUAV's camera and 3 % with UAV-VisLoc's (benchmarks/projection_bias.py), so the program's other factor,
-1.05, may well stand in for it.
+This assumes that a pixel covers ``1/f`` of the distance. In a flat image it covers ``1/f`` of the depth, which is
+shorter by ``|ray| / f``, the length of the pixel's ray in focal lengths: the authors' program has that factor, the text
+does not. Neither has the second such factor, by which a flat image stretches radially. Its absence alone makes scales
+at nadir 5 % too small with DenseUAV's camera and 3 % with UAV-VisLoc's (benchmarks/projection_bias.py), so the
+program's other factor, 1.05, may well make up for it.
 
-`exact` is what orthoscale measures with; this is for comparison and cross-checks.
+orthoscale measures with `exact`; this is for comparison and cross-checks.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Variant:
 
     effective : extents seen across the ray, foreshortened and with the height; else length and width as they are.
     ray_length : pixels measured at the vehicle's depth (``|ray| / f``); else at its distance.
-    factor : what the scale is multiplied by in the end.
+    factor : by which the scale is multiplied in the end.
     """
 
     effective: bool = True
@@ -85,7 +85,7 @@ def relative_orientation(boxes: Boxes, views: Views) -> np.ndarray:
     """(N,) the paper's angle g between a vehicle's long side and the radial direction, in 0..pi/2 [rad].
 
     Measured on the ground, where ``L cos g`` and ``L sin g`` are lengths; radial is the viewing ray's azimuth. Straight
-    below the camera there is none, and pi/2 is returned: ``L_eff`` does not depend on it there.
+    below the camera there is no azimuth, and pi/2 is returned: ``L_eff`` does not depend on it there.
     """
     along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
     radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal

@@ -17,8 +17,8 @@ from .view import Views
 
 ITERATIONS = 8  # each leaves about a tenth of the error of the one before
 # Bumpers reach out furthest about here (49 CFR 581 hits them at 16 to 20 inches, 0.41 to 0.51 m), doors a bit higher.
-BEND = 0.4  # [m] walls stand straight up to here; above it they lean in by `Hull.end_lean` and `Hull.side_lean`
-FLAT = 0.01  # [m] height of a hull that is but an outline painted on the ground
+BEND = 0.4  # [m] walls are vertical up to here; above it they lean in by `Hull.end_lean` and `Hull.side_lean`
+FLAT = 0.01  # [m] height of a hull that is no more than an outline on the ground
 CHUNK = 1_000  # boxes solved at once; small enough for the processor's cache
 
 
@@ -28,8 +28,8 @@ class Hull:
 
     The defaults are those of a mid-size car: belt line at 0.85 m (new cars' bonnets begin at 0.77 m in 2010, at 0.84 m
     in 2024: Transport & Environment 2025), windscreen and rear window slanting inwards, corners rounded by about
-    0.25 m. No vehicle is just that one, so a lean draws walls in above BEND, where bumpers reach furthest; a negative
-    one makes up for insets that a van does not have.
+    0.25 m. Vehicles differ from that shape, so a lean draws the walls in above BEND, where bumpers reach furthest; a
+    negative lean makes up for insets that a van does not have.
     """
 
     height: float = 0.8  # what the detector's boxes enclose, see `detect.detector.Card` [m]
@@ -44,7 +44,7 @@ class Hull:
 
     @property
     def least_lean(self) -> tuple[float, float]:
-        """Of ends and sides, the lean with which the walls stand straight; less changes nothing [1/m]."""
+        """The leans of ends and of sides with which the walls are vertical; smaller ones change nothing [1/m]."""
         inset = self._taper(self.height) / max(self.height - BEND, 1e-9)
         return 0.0 - inset * max(self.front_inset, self.rear_inset), 0.0 - inset * self.side_inset
 
@@ -74,7 +74,7 @@ class Hull:
         return np.array(plan), np.array(heights)
 
 
-BODIES = {  # by the name that a detector's card may give, for one that finds vehicles of one kind
+BODIES = {  # by the name that a detector's card may give, if it finds vehicles of one kind
     "car": Hull(),
     # Steep rear, short bonnet, little taper: how far the roof is drawn in cannot be told from size by views alone.
     "van": Hull(belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06, corner=0.10, end_lean=0.0),
@@ -83,14 +83,14 @@ BODIES = {  # by the name that a detector's card may give, for one that finds ve
 
 
 def _within(inset: float) -> float:
-    """Walls neither lean outwards nor meet."""
+    """`inset`, limited so that walls neither lean outwards nor meet."""
     return min(max(inset, 0.0), 0.45)
 
 
 def ground_size(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull | None = None) -> np.ndarray:
     """(N, 2) length and width of each vehicle on the ground [units of `views`]; NaN where none explains the box.
 
-    `metres_per_unit` turns the hull's heights into units: the pooled scale so far. Its error enters only through the
+    `metres_per_unit`, the pooled scale so far, turns the hull's heights into units. Its error enters only through the
     height's share of the box (about a tenth of the box per 10 % at 60 degrees), so two or three rounds settle it.
     """
     hull = hull or Hull()
@@ -102,7 +102,7 @@ def ground_size(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull |
 
 
 def size_by_ends_and_sides(boxes: Boxes, views: Views, metres_per_unit: float, hulls: tuple[Hull, Hull]) -> np.ndarray:
-    """(N, 2) as `ground_size`: lengths by the first of `hulls`, widths by the second, for boxes need not enclose the
+    """(N, 2) as `ground_size`, lengths by the first of `hulls` and widths by the second: boxes need not enclose the
     ends and the sides of vehicles up to the same height."""
     length, width = (ground_size(boxes, views, metres_per_unit, hull) for hull in hulls)
     return np.stack([length[:, 0], width[:, 1]], 1)
@@ -125,7 +125,7 @@ def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np
     gain = np.abs(np.diagonal(jacobian, axis1=1, axis2=2))
     target = boxes.xylwa[:, 2:4]
 
-    # Boxes last from here on: what is done over and over is done to long rows.
+    # Boxes are the last axis from here on, so that the iterations work on long rows.
     slopes = np.ascontiguousarray(slopes.transpose(1, 2, 0))  # (3 forms, 3 directions, N)
     on_ground, rising = slopes[:, :2], slopes[:, 2:] * heights[:, None]  # rising (3, P, N)
     rising[2] += views.ground[:, 2]

@@ -1,6 +1,6 @@
 """How far a vehicle's height makes its box longer or wider than its footprint.
 
-Seen obliquely it covers ``height * cot(elevation)`` more of the ground, divided between length and width by its
+A vehicle seen obliquely covers ``height * cot(elevation)`` more of the ground, divided between length and width by its
 heading.
 """
 

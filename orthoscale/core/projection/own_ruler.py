@@ -1,6 +1,6 @@
-"""A ruler of a reconstruction's own: up to where boxes enclose vehicles, by how much they exceed them, and their shape.
+"""A reconstruction's own ruler: the height up to which boxes enclose vehicles, the margin, and the vehicles' shape.
 
-`self_calibration` fits it to how sizes change from view to view; the detector's card is one, too.
+`self_calibration` fits it to how sizes change from view to view; the detector's card gives one, too.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
-BODY = (HEIGHT, UNDERCUT, LEAN, CORNER)  # those of what boxes enclose
-# That give the slopes: [m], [detector px], [m], [1/m], share of the width. About as large as what is not known of each:
-# of a box that hides what leans in, a smaller one changes nothing, and all would be known.
+BODY = (HEIGHT, UNDERCUT, LEAN, CORNER)  # columns of what boxes enclose
+# Finite differences for the slopes: [m], [detector px], [m], [1/m], share of the width. About as large as the
+# uncertainty of each: smaller ones change nothing in a box that hides what leans in, which would then seem certain.
 DIFFERENCES = (0.2, 0.25, 0.1, 0.1, 0.07)
 HIGHEST = 2.2  # of the effective height [m]: the roof of a van
 MOST_UNDERCUT = 1.0  # [m]
 LOWEST, LARGEST = (0.0, -np.inf, 0.0, -1.0, 0.0), (HIGHEST, np.inf, MOST_UNDERCUT, 1.0, 0.3)
-# How far vehicles' shapes stray from the hull's, one sigma, held against what views tell: their lean by lengths and
-# widths (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length
-# from the bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 a van's.
+# Prior one sigma of how far vehicles' shapes deviate from the hull's: their lean by lengths and widths
+# (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length from the
+# bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 up to a van's.
 LEAN_SD = (0.1, 0.08)
-KNOWN_UNDERCUT_SD = 0.12  # how far vehicles' undercuts stray from a card that has one [m]
+KNOWN_UNDERCUT_SD = 0.12  # how far vehicles' undercuts deviate from that on a card [m]
 CORNER_SD = 0.07
 
 
 @dataclass(frozen=True)
 class SeenBoxes:
-    """N boxes in frames, and how these see the ground there.
+    """N boxes in frames, with the viewing geometry of each.
 
-    zoom : detector pixels per picture pixel. metres_per_unit : the scale so far, which the bodies' heights [m] need.
+    zoom : detector pixels per picture pixel. metres_per_unit : the scale so far, needed for the bodies' heights [m].
     """
 
     boxes: Boxes
@@ -57,8 +57,8 @@ class OwnRuler:
     further in, and only then does height make a box larger. Fitting a straight line to the flat views alone, as for a
     body with upright sides, would remove too much everywhere: on `sheffield` 11 % of the widths.
 
-    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis. views : number of boxes that they
-    were fitted to, 0 for the detector's own values. body : the hull to which height, lean and corner belong.
+    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis. views : number of boxes to which
+    they were fitted, 0 for the detector's own values. body : the hull to which height, lean and corner belong.
     """
 
     value: np.ndarray
@@ -76,7 +76,7 @@ class OwnRuler:
         body: Hull | None = None,
         undercut: Sequence[float] = (0.0, 0.0),
     ) -> OwnRuler:
-        """What the detector's card says, (2,) each, by lengths and by widths. One without an undercut knows none."""
+        """The ruler of the detector's card; (2,) each, for lengths and for widths. An undercut of 0 has no sigma."""
         body = body or Hull()
         leans = body.end_lean, body.side_lean
         value = [[h, m, u, k, body.corner] for h, m, u, k in zip(height, margin, undercut, leans, strict=True)]
@@ -101,7 +101,7 @@ class OwnRuler:
 
     @property
     def expects_undercut(self) -> bool:
-        """Whether it says how far that may be off, as a card does that has one."""
+        """Whether the undercut has a sigma, as on a card with an undercut."""
         return bool(self.covariance[:, UNDERCUT, UNDERCUT].any())
 
     @property
@@ -111,7 +111,7 @@ class OwnRuler:
 
     @property
     def hulls(self) -> tuple[Hull, Hull]:
-        """The bodies by which lengths and widths are measured."""
+        """The bodies by which lengths and by which widths are measured."""
         along, across = (
             replace(self.body, height=height, end_lean=lean, side_lean=lean, corner=corner)
             for height, _, _, lean, corner in self.value.tolist()
@@ -121,8 +121,8 @@ class OwnRuler:
     def size(self, seen: SeenBoxes) -> np.ndarray:
         """(N, 2) length and width on the ground [units], the margin taken off; NaN where no vehicle gives the box.
 
-        The margin comes off the box, before it is projected: seen obliquely, a pixel covers more ground away from the
-        camera than across.
+        The margin is taken off the box before it is projected: seen obliquely, a pixel covers more ground along the
+        viewing direction than across it.
         """
         views, metres_per_unit = seen.views, seen.metres_per_unit
         xylwa = seen.boxes.xylwa.copy()
@@ -134,28 +134,29 @@ class OwnRuler:
         if self.undercut.any():
             above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
             waist_height = np.minimum(self.height, (BEND, self.body.belt))  # up to where ends and sides stand straight
-            nearer = 1 - waist_height / metres_per_unit / above  # it is closer than the ground
+            nearer = 1 - waist_height / metres_per_unit / above  # the waist is closer to the camera than the ground
             waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
             size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
         size[swapped] = np.nan
         return size
 
     def slopes(self, seen: SeenBoxes, columns: Iterable[int] = range(len(DIFFERENCES))) -> np.ndarray:
-        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units], 0 but for `columns`."""
+        """(N, 2 axes, 5) by how much the size falls per unit of each of `value` [units]; 0 except for `columns`."""
         out = np.zeros((len(seen.boxes), 2, len(DIFFERENCES)))
         for k in columns:
             change = np.zeros(len(DIFFERENCES))
             change[k] = DIFFERENCES[k]
-            least, most = np.minimum(LOWEST, self.value), np.maximum(LARGEST, self.value)  # a card may say more
+            least, most = np.minimum(LOWEST, self.value), np.maximum(LARGEST, self.value)  # a card's may lie beyond
             low, high = (np.clip(self.value + sign * change, least, most) for sign in (-1, 1))
             less, more = (replace(self, value=value).size(seen) for value in (low, high))
             out[:, :, k] = (less - more) / (high - low)[:, k]
         return out
 
     def relative_sd(self, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(2 axes, 5) one-sigmas of all sizes, relative, from what is not known of each of `value`.
+        """(2 axes, 5) relative one-sigmas common to all sizes, from the uncertainty of each of `value`.
 
-        These are found together and may err against each other: their squares add up to what they leave together.
+        The values are fitted together and their errors may cancel, so these are scaled: their squares add up to the
+        joint variance.
         """
         share = _median_share(size, slopes)
         together = np.einsum("ki,kij,kj->k", share, self.covariance, share)
@@ -163,19 +164,20 @@ class OwnRuler:
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
     def told(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes (N, 2) as `size`, NaN also where a body a little other would not give the box; and (2,) one-sigmas of
-        all lengths and widths, relative, from what is not known of bodies and of what boxes enclose of them."""
+        """Sizes (N, 2) as `size`, NaN also where a slightly different body could not give the box; and (2,) relative
+        one-sigmas common to all lengths and to all widths, from the uncertainty of bodies and of what boxes enclose."""
         size, slopes = self.size(seen), self.slopes(seen, BODY)
         ok = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         sd = np.sqrt(np.square(self.relative_sd(size[ok], slopes[ok])).sum(1)) if ok.any() else np.zeros(2)
         return np.where(ok[:, None], size, np.nan), sd
 
     def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(2,) by how much lengths' and widths' errors from bodies correlate with the error of the card's height.
+        """(2,) correlation of the errors of lengths and of widths from bodies with the error of the card's height.
 
-        What views told makes the error of a height, h - fitted, independent of fitted - card; so its covariance with
-        h - card is its own variance, and that of any other error its covariance with h - fitted. 1 where no view told.
-        None below zero: two errors that cancel in a mean would be more than is known of bodies.
+        After the fit, the error of the height, h - fitted, is independent of fitted - card. So its covariance with
+        h - card is its own variance, and that of any other error is its covariance with h - fitted. It is 1 for the
+        card itself if no value but the height matters. It is never below zero: bodies are not known well enough to say
+        that two errors cancel in a mean.
         """
         share = _median_share(size, slopes)[:, BODY]
         covariance = self.covariance[:, BODY][:, :, BODY]
@@ -184,7 +186,7 @@ class OwnRuler:
         return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
 
     def document(self, shipped: OwnRuler) -> dict[str, Any]:
-        """As plain values, beside those that were `shipped`."""
+        """The fitted values as plain numbers, beside those of the `shipped` ruler."""
         return {
             "views": self.views,
             **{
@@ -199,6 +201,6 @@ class OwnRuler:
 
 
 def _median_share(size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """(2 axes, 5) by what share the usual one of sizes (N, 2) is smaller for one more of each of a ruler's values, by
-    their `slopes` (N, 2, 5)."""
+    """(2 axes, 5) median, over sizes (N, 2), of the relative fall of a size per unit of each of a ruler's values, from
+    the `slopes` (N, 2, 5)."""
     return np.nanmedian(slopes / size[..., None], axis=0)

@@ -1,10 +1,10 @@
 """Self-calibration of the ruler by a reconstruction: the height that boxes enclose, their margin and the undercut.
 
-The same vehicle must have one size in all its views. Boxes that enclose height make it larger in flat views, a margin
-makes it larger from afar, and an undercut makes boxes grow in the flattest views only. So all three follow from how
-sizes change from view to view, without any metres (except that the hull's shape is in metres). Sizes are measured by
-the exact projection with the current ruler, their derivatives by measuring again with a changed one: Gauss-Newton
-steps, repeated until they converge.
+A vehicle must have one size in all its views. Boxes that enclose height make it larger in flat views, a margin makes it
+larger from afar, and an undercut makes boxes grow in the flattest views only. So all three follow from how sizes change
+from view to view, without any metres (except that the hull's shape is in metres). Sizes are measured by the exact
+projection with the current ruler, their derivatives by measuring again with a changed one: Gauss-Newton steps, repeated
+until they converge.
 """
 
 from __future__ import annotations
@@ -19,23 +19,24 @@ from .own_ruler import CORNER, HEIGHT, LARGEST, LEAN, LOWEST, MARGIN, UNDERCUT, 
 from .view import Views
 
 Trends = dict[str, dict[str, list[float]]]  # see `trends`
-Free = tuple[list[int], list[int]]  # columns of `OwnRuler.value` that are fitted, of lengths and of widths
+Free = tuple[list[int], list[int]]  # columns of `OwnRuler.value` that are fitted, for lengths and for widths
 
-MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
-MIN_RESIDUALS = 20  # observations below which nothing is fitted
+MIN_VIEWS = 3  # fewest views of a vehicle that is used; their mean is taken off
+MIN_RESIDUALS = 20  # fewest observations to which a ruler is fitted
 RULER_STEPS = 16
-STRIDE = (0.3, 3.0, 0.3, 0.08, 0.08)  # of one step, at most: far from the answer the slopes are another body's
-RULER_SETTLED, SAME_SLOPES = 0.03, 0.1  # shares of STRIDE at which the steps end, and slopes are not measured again
-# A card knows no undercut: its effective height is that of a body with upright sides, which grows as much in a view of
-# USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma.
-UNDERCUT_SD, LEAST_UNDERCUT = 0.3, 0.05  # [m]; less shows in upright bodies too, by noise
+STRIDE = (0.3, 3.0, 0.3, 0.08, 0.08)  # largest step: far from the solution the slopes are those of another body
+RULER_SETTLED, SAME_SLOPES = 0.03, 0.1  # shares of STRIDE below which steps end, and slopes are not measured again
+# For a card without an undercut: its effective height is that of a body with upright sides, which grows as much in a
+# view of USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma.
+UNDERCUT_SD, LEAST_UNDERCUT = 0.3, 0.05  # [m]; less is also fitted to upright bodies, from noise
 USUAL_LEAN = 0.7
-# Other shapes than upright walls, by what lengths and widths tell beyond height and margin: a body that recedes below
-# its waist, one whose walls lean. Corners show where the ground is foreshortened athwart: in lengths.
+# Shapes other than upright walls, by the columns that lengths and widths determine besides height and margin: a body
+# that recedes below its waist; one whose walls lean. Corners show where the ground is foreshortened across the vehicle:
+# in lengths.
 SHAPES = (([UNDERCUT], [UNDERCUT]), ([LEAN, CORNER], [LEAN]))
-# How much distances to one vehicle must differ, one sigma, beyond what its elevation angles explain, before its views
-# tell a margin. At one altitude, distance and elevation are one thing, and a margin would take up whatever else makes
-# boxes change with elevation.
+# One sigma by which log distances to a vehicle must differ, beyond what its elevation angles explain, for its views to
+# determine a margin. At one altitude, distance and elevation are one and the same, and a margin would absorb whatever
+# else makes boxes change with elevation.
 FAR_AND_NEAR = 0.05
 HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 
@@ -43,7 +44,7 @@ HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 def self_calibrated(
     boxes: SeenBoxes, members: Sequence[np.ndarray], shipped: OwnRuler, start: OwnRuler | None = None
 ) -> OwnRuler:
-    """The ruler for which vehicles have one size in all their views, with the detector's own as the prior.
+    """The ruler by which vehicles have one size in all their views, with the detector's own as the prior.
 
     members : indices of each vehicle's boxes. start : the current ruler, if it is not `shipped`.
     """
@@ -51,7 +52,7 @@ def self_calibrated(
     if len(index) < MIN_RESIDUALS:
         return shipped
     seen = _RulerData(boxes[index], vehicle, shipped)
-    known = shipped.expects_undercut  # then it is held by the card, as the height is
+    known = shipped.expects_undercut  # then the card is its prior, as for the height
     common = [HEIGHT, *([UNDERCUT] if known else []), *([MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [])]
     plain = _settled(start or shipped, seen, (common, common))
     before = plain.size(seen.boxes)
@@ -60,7 +61,7 @@ def self_calibrated(
         free = (common + shape[0], common + shape[1])
         shaped = _settled(_undercut(plain) if UNDERCUT in shape[0] else plain, seen, free)
         gain = _gain(before, shaped.size(seen.boxes), vehicle)
-        # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
+        # Another shape only if the views demand it, by the Bayesian information criterion (Schwarz 1978).
         gain -= sum(map(len, shape)) * float(np.log(len(index)))
         told = UNDERCUT not in shape[0] or shaped.undercut.max() > LEAST_UNDERCUT
         if told and gain > most:
@@ -70,7 +71,7 @@ def self_calibrated(
 
 @dataclass(frozen=True)
 class _RulerData:
-    """The data that a ruler is fitted to: N boxes of vehicles with enough views, and (N,) the index of each one's
+    """The data to which a ruler is fitted: N boxes of vehicles with enough views, and (N,) the index of each one's
     vehicle. shipped : the prior."""
 
     boxes: SeenBoxes
@@ -78,13 +79,13 @@ class _RulerData:
     shipped: OwnRuler
 
     def prior(self, free: Free) -> np.ndarray:
-        """(2, 5, 5) covariance beforehand, where `free` may be fitted."""
+        """(2, 5, 5) prior covariance if the columns `free` are fitted."""
         unknown = UNDERCUT in free[0] and not self.shipped.expects_undercut
         return _with_undercut(self.shipped.covariance) if unknown else self.shipped.covariance
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
-    """With an undercut to begin with: the search starts above zero, where the gradient vanishes."""
+    """`ruler` with an undercut to start from: the search must not start at zero, where the gradient vanishes."""
     value = ruler.value.copy()
     value[:, UNDERCUT] += UNDERCUT_SD
     value[:, HEIGHT] += UNDERCUT_SD / USUAL_LEAN
@@ -92,7 +93,7 @@ def _undercut(ruler: OwnRuler) -> OwnRuler:
 
 
 def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
-    """The ruler for which each vehicle of `seen` has one size, starting from `ruler`; values that are not `free` are as
+    """The ruler by which each vehicle of `seen` has one size, starting from `ruler`; values that are not `free` are as
     shipped."""
     shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
     change, slopes = np.inf, np.empty(0)
@@ -114,9 +115,9 @@ def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
                 )
                 if value[axis, LEAN] >= least:
                     break
-                value[axis, LEAN] = least  # walls do not lean outwards: the others without it
+                value[axis, LEAN] = least  # walls do not lean outwards: fit the others alone
         value[1, CORNER] = value[0, CORNER]
-        # Half the way where which views feel the undercut depends on it: whole steps would go to and fro.
+        # Half steps with an undercut: its value decides which views it affects, and whole steps would oscillate.
         share = 0.5 if UNDERCUT in free[0] else 1.0
         value = ruler.value + np.clip(share * (value - ruler.value), -np.array(STRIDE), STRIDE)
         value = np.clip(value, LOWEST, LARGEST)
@@ -128,12 +129,12 @@ def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
 
 
 def _with_the_rest(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
-    """`ruler` with the covariance that it has with all that is not known of bodies, `free` or not.
+    """`ruler` with the joint covariance of all uncertain values, `free` or not.
 
-    A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
-    the views that they were fitted to. And a lean that would have shown is not there. So views tell of all of these
-    together; by what they would change if all were free, they may be off besides, though by no more than was not known
-    before: far off, the slopes are another body's.
+    A body that leans in is smaller in flat views, and a height fitted to them is lower: the two errors cancel in the
+    views to which they were fitted. And the views exclude a lean that would have shown. So the covariance is that of a
+    joint fit of all values. By as much as that fit would change them they may be off besides, but by no more than the
+    prior one sigma: far off, the slopes are those of another body.
     """
     shipped, prior, size, slopes = seen.shipped, seen.prior(free), ruler.size(seen.boxes), ruler.slopes(seen.boxes)
     good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
@@ -151,7 +152,7 @@ def _with_the_rest(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
 
 
 def _with_undercut(covariance: np.ndarray) -> np.ndarray:
-    """`covariance` (2, 5, 5) of a card, with an undercut that leaves what boxes grow by in views of USUAL_LEAN."""
+    """`covariance` (2, 5, 5) of a card, with an undercut that does not change how boxes grow in views of USUAL_LEAN."""
     direction = np.zeros(covariance.shape[:2])
     direction[:, UNDERCUT] = UNDERCUT_SD
     direction[:, HEIGHT] = UNDERCUT_SD / USUAL_LEAN
@@ -162,8 +163,8 @@ def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
     """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference of
     their Huber losses, relative to the residual noise of the shaped ones.
 
-    It is the smaller of two: with residuals as shares of each one's own sizes, and of the plain sizes. A body that
-    makes vehicles larger reduces the noise as a share of them, one that makes them smaller reduces the noise itself;
+    It is the smaller of two gains: with residuals relative to each one's own sizes, and relative to the plain sizes. A
+    body that makes vehicles larger reduces the relative noise, one that makes them smaller reduces the noise itself;
     neither is a better agreement.
     """
     good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
@@ -181,10 +182,10 @@ def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
 def trends(
     before: np.ndarray, after: np.ndarray, elevation: np.ndarray, pixel: np.ndarray, members: Sequence[np.ndarray]
 ) -> Trends | None:
-    """How the scale of a vehicle changes from view to view, before and after calibration; None for too few views.
+    """How the scale by a vehicle changes from view to view, before and after calibration; None for too few views.
 
-    before, after : (N, 2) sizes, NaN where a box is of no vehicle at this scale. elevation : (N,) [deg].
-    pixel : (N,) what one covers of the ground [units]: the length of a vehicle in pixels, without its box's own error.
+    before, after : (N, 2) sizes, NaN where no vehicle fits a box at this scale. elevation : (N,) [deg].
+    pixel : (N,) size of a pixel on the ground [units]: it gives a vehicle's length in pixels without its box's error.
     Slopes of the log scale in percent per 10 degrees and per doubling of the length in pixels, each [slope, one sigma].
     """
     known = np.isfinite(before).all(1) & np.isfinite(after).all(1)
@@ -203,7 +204,7 @@ def trends(
 
 
 def _often_seen(members: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (N,) of the boxes of vehicles with MIN_VIEWS or more, and (N,) the number of each one's vehicle."""
+    """(N,) indices of the boxes of vehicles with MIN_VIEWS or more, and (N,) the number of each one's vehicle."""
     often = [m for m in members if len(m) >= MIN_VIEWS]
     index = np.concatenate([np.empty(0, int), *often])
     return index, np.repeat(np.arange(len(often)), [len(m) for m in often])
@@ -226,10 +227,10 @@ def _far_and_near(views: Views, vehicle: np.ndarray) -> bool:
 def _within(
     x: np.ndarray, y: np.ndarray, vehicle: np.ndarray, prior: np.ndarray, prior_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (D,) of `y` (N,) over `x` (N, D) within each `vehicle` (N,), held by a prior; and their covariance.
+    """Slopes (D,) of `y` (N,) over `x` (N, D) within each `vehicle` (N,), with a prior; and their covariance.
 
-    Boxes of one vehicle err alike (its paint, its shade), so the scores are summed by vehicle before their scatter is
-    taken (Liang and Zeger 1986); it never counts for less than the residuals do.
+    The errors of a vehicle's boxes are correlated (its paint, its shade), so the scores are summed by vehicle before
+    their scatter is taken (Liang and Zeger 1986); the covariance is never less than by the residuals alone.
     """
     x = x - _mean_of_vehicle(x, vehicle)
     y = y - _mean_of_vehicle(y[:, None], vehicle)[:, 0]

@@ -35,8 +35,8 @@ class Views:
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ground", "normal", "lens")))
 
     def with_focal(self, ratio: float) -> Views:
-        """The same footprints on the ground, by cameras whose focal length is `ratio` times as long, and which stand so
-        much higher: seen straight from above, the pictures are the same."""
+        """The same ground, seen by cameras with `ratio` times the focal length that stand `ratio` times as high: at
+        nadir the pictures are the same."""
         above = (self.ground * self.normal).sum(1, keepdims=True) * self.normal
         return Views(self.ground + (ratio - 1) * above, self.normal, self.lens * ratio)
 
@@ -51,6 +51,6 @@ class Views:
 
     @property
     def unit_per_pixel(self) -> np.ndarray:
-        """(N,) model units across the viewing ray that one pixel covers."""
+        """(N,) model units that one pixel covers across the viewing ray."""
         focal = np.sqrt(np.abs(np.linalg.det(self.lens)))
         return self.ground[:, 2] / focal
