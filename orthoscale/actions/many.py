@@ -120,7 +120,7 @@ def one(job: Job) -> Row:
         try:
             _do(job, path, row)
         except Incomplete as error:
-            _fill(row, error.result)
+            _fill_by_result(row, error.result)
             row["output"] = job["out"]
             raise
     except OrthoscaleError as error:
@@ -138,45 +138,26 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     if job["action"] == "fix":
         out, asked = Path(job["out"]), FixRequest.of(job["settings"])
         if (done := finished(path, out, asked)) is not None:
-            _fill_by_report(row, *done)
+            _fill(row, *done)
         else:
-            _fill(row, written(path, out, asked, alone=job["alone"]))
+            _fill_by_result(row, written(path, out, asked, alone=job["alone"]))
         row["output"] = job["out"]
         return
     request = EstimateRequest.of(job["settings"])
     if job["action"] == "estimate":
         result = measured(path, request, alone=job["alone"])
-        _fill(row, result)
+        _fill_by_result(row, result)
         result.require_useful()
         return
     outcome = checked(path, request, alone=job["alone"])
-    _fill(row, outcome.result)
+    _fill_by_result(row, outcome.result)
     for claim in outcome.comparisons:
         row |= {"claimed": claim.claimed, "claim": claim.verdict}
     outcome.require_agreement()
 
 
-def _fill(row: Row, result: Result) -> None:
-    scale, place = result.scale, location_of(result.source)
-    claim = own_claim(result.source, scale)
-    row |= {
-        "scale": scale.value,
-        "unit": scale.unit,
-        "low90": scale.interval90[0],
-        "high90": scale.interval90[1],
-        "verdict": scale.verdict,
-        "vehicles_used": scale.vehicles_used,
-        "fleet": scale.fleet,
-        "claimed": claim and claim.claimed,
-        "claim": claim and claim.verdict,
-        "longitude": place and place.longitude,
-        "latitude": place and place.latitude,
-        "seconds": round(result.seconds, 2),
-    }
-
-
-def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None:
-    """As `_fill`, from the report of an earlier run."""
+def _fill(row: Row, report: Mapping[str, Any], source: Source) -> None:
+    """Fill the columns that a `report` of `source` has values for."""
     place, claim = location_of(source), report["claim"]
     row |= {name: report[name] for name in ("scale", "unit", "verdict", "vehicles_used", "fleet", "seconds")}
     row |= {
@@ -187,6 +168,23 @@ def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None
         "longitude": place and place.longitude,
         "latitude": place and place.latitude,
     }
+
+
+def _fill_by_result(row: Row, result: Result) -> None:
+    """As `_fill`, from the few parts of a report that a row shows; a whole one would need the hash of the input."""
+    scale = result.scale
+    claim = own_claim(result.source, scale)
+    report = {
+        "scale": scale.value,
+        "unit": scale.unit,
+        "interval90": scale.interval90,
+        "verdict": scale.verdict,
+        "vehicles_used": scale.vehicles_used,
+        "fleet": scale.fleet,
+        "claim": claim and claim.document(),
+        "seconds": round(result.seconds, 2),
+    }
+    _fill(row, report, result.source)
 
 
 def check_folder(out: Path) -> None:
