@@ -14,7 +14,8 @@ from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
 from ..requests import EstimateRequest
-from .estimate import measured, source_of
+from .estimate import measured
+from .opening import source_of
 
 if TYPE_CHECKING:
     from typing import Unpack

@@ -12,11 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.anchors import Standard
-from ..core.calibration import Calibration
 from ..core.claims import perhaps_metric
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
-from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.footing import BY_POINTS, Footing
@@ -32,7 +29,7 @@ from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
 from ..core.progress import Progress
 from ..core.remarks import CAUTION, REFUSAL
-from ..core.source import GpsScale, Source
+from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..detect.detector import Detector, Passes
 from ..detect.find import Effort
@@ -40,27 +37,22 @@ from ..detect.refine import refined
 from ..detect.workers import worker_count
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
-from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
 from ..formats.tables import standards
 from ..report.result import Result
 from ..requests import EstimateRequest
-from ..sources.country import country_of, fleet_at, named_fleet
-from ..sources.location import location_of
+from ..sources.country import country_of
 from ..sources.on_map import OnMap
-from ..sources.opening import AN_INPUT, open_source
-from ..system.paths import path_of
 from .against import on_map
-from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
-from .control import read_control, read_distance
+from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors
 from .find import Sampling, VehicleSearch, find_in, measured_anew
+from .opening import Opened, given_evidence, opened
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.zoom import ZoomChoice
     from ..requests import EstimateOptions
-    from ..sources.satellite import Satellite
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georeferencing, where no vehicles give a scale
 
@@ -104,49 +96,6 @@ def estimate(
     such option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
     return measured(path, EstimateRequest.of(options), progress)
-
-
-@dataclass(frozen=True)
-class Opened:
-    """The inputs of a request, opened and checked against each other, before anything is measured.
-
-    why : notes on how the fleet was chosen, if the user did not name it. given : the user's evidence on the scale, and
-    that of the frames' GPS positions. own : the user's standards for anchors, by kind. satellite : the map that the
-    source is compared with.
-    """
-
-    source: Source
-    fleet: Fleet
-    why: tuple[str, ...]
-    calibration: Calibration | None
-    given: tuple[Evidence, ...]
-    own: Mapping[str, tuple[Standard, ...]]
-    satellite: Satellite | None = None
-
-
-def source_of(
-    path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
-) -> Source:
-    """The input at `path`, opened as `request` says; a source is returned as it is. progress : for reading its dense
-    cloud. Raises InputError, UsageError."""
-    if not isinstance(path, (str, Path)) and hasattr(path, "posed"):
-        return path
-    return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
-
-
-def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
-    """The input at `path`, with all files that `request` names. progress : for reading its dense cloud.
-
-    Raises InputError, UsageError.
-    """
-    known = None if request.calibration is None else load_calibration(Path(request.calibration))
-    named = named_fleet(request.fleet, known)
-    source = source_of(path, request, request.needs_pictures, progress)
-    fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
-    request.check_for(source)
-    given, why = _given(source, request), (*why, *_gps(source, request).notes)
-    own = own_standards(request.anchor)
-    return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
 
 
 @dataclass(frozen=True)
@@ -240,7 +189,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     footing = footing_of(source, found, fleet)
     given = method
     if footing is not BY_POINTS:  # the user's evidence is measured on that ground, too
-        evidence = _given(source, request, footing)
+        evidence = given_evidence(source, request, footing)
         given = replace(method, evidence=tuple(evidence))
     by_vehicles = _by_vehicles(source, found, fleet, given, request)
 
@@ -367,20 +316,6 @@ def _passes(source: Source, request: EstimateRequest) -> Passes:
     return Passes.FINE_FIRST if request.fast or request.detector is not None else Passes.TWICE_CONFIRMED
 
 
-def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:
-    """The evidence on the scale [m per unit] from the user and from the frames' tags, on the ground of `footing`.
-    Raises UsageError, InputError."""
-    given = [read_distance(text, source, footing) for text in dict.fromkeys(request.known_distance)]
-    if request.ground_control is not None:
-        given.append(read_control(Path(request.ground_control), source, footing))
-    return [*given, *_gps(source, request).evidence]
-
-
-def _gps(source: Source, request: EstimateRequest) -> GpsScale:
-    """The scale from the GPS positions of frames, if there are any and they count."""
-    return source.posed.gps if source.posed is not None and request.counts_gps else GpsScale()
-
-
 def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
     """The ground of a reconstruction, from the vehicles `found` in its frames or else in its ground pictures; from its
     sparse points alone where vehicles are too few."""
@@ -391,15 +326,6 @@ def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
             if found.planar is not None:
                 return SweepGeometry.of(source.posed, found.planar).footing
     return BY_POINTS
-
-
-def _satellite(path: str | Path | None) -> Satellite | None:
-    """The map at `path`. Raises InputError, UsageError."""
-    if path is None:
-        return None
-    from ..sources.satellite import Satellite
-
-    return Satellite.open(Path(path))
 
 
 def _sampling(source: Source, fleet: Fleet) -> Sampling:

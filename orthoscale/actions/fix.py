@@ -20,8 +20,9 @@ from ..sources.opening import AN_INPUT
 from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
-from .estimate import measured, source_of
+from .estimate import measured
 from .kept_boxes import KeptBoxes
+from .opening import source_of
 
 if TYPE_CHECKING:
     from typing import Unpack

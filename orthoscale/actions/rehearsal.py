@@ -11,9 +11,10 @@ from ..formats.detections import output_of
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import Outputs
 from .check import require_claim
-from .estimate import detector_of, opened
+from .estimate import detector_of
 from .find import measurer_of
 from .fix import rehearsed
+from .opening import opened
 
 
 def rehearsal(
