@@ -17,12 +17,10 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.footing import BY_POINTS, Footing
-from ..core.measuring.geometry import Geometry
-from ..core.measuring.measure import doubts, measure
+from ..core.measuring.measure import doubts
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.measuring.oblique import FramesGeometry
-from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
@@ -31,13 +29,7 @@ from ..core.progress import Progress
 from ..core.remarks import CAUTION, REFUSAL
 from ..core.source import Source
 from ..core.verdicts import UNUSABLE
-from ..detect.detector import Detector, Passes
-from ..detect.find import Effort
-from ..detect.refine import refined
-from ..detect.workers import worker_count
-from ..detect.zoom import told_zoom
-from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
-from ..formats.detections import load as load_detections
+from ..errors import InputError, TooLittleEvidence
 from ..formats.tables import standards
 from ..report.result import Result
 from ..requests import EstimateRequest
@@ -45,13 +37,12 @@ from ..sources.country import country_of
 from ..sources.on_map import OnMap
 from .against import on_map
 from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors
-from .find import Sampling, VehicleSearch, find_in, measured_anew
+from .boxes import boxes_of, effort_of
 from .opening import Opened, given_evidence, opened
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..detect.zoom import ZoomChoice
     from ..requests import EstimateOptions
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georeferencing, where no vehicles give a scale
@@ -137,7 +128,7 @@ def measured(
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
         try:
-            found, choice = _found(asked, request, progress, alone)
+            found, choice = boxes_of(asked, request, progress, alone)
             told(found, source)
             answer = _of_vehicles(asked, found, method, request, wanted)
         except TooLittleEvidence as error:
@@ -162,22 +153,6 @@ def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidenc
     """The same error with the cautions from opening `source`, which may be why too few vehicles were found in it."""
     cautions = [f"Caution: {note.text}." for note in source.notes if note.severity == CAUTION]
     return TooLittleEvidence(error.message, "\n".join([error.hint, *cautions]))
-
-
-def _found(
-    asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
-) -> tuple[Detections, ZoomChoice | None]:
-    """The boxes to measure, from a file or by a detector, with the ruler that belongs to them."""
-    choice = None
-    if request.detections is not None:
-        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
-    else:
-        found, choice = _looked_for(asked.source, request, asked.fleet, progress)
-    found = measured_anew(asked.source, found, request, effort_of(request), progress)
-    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-    if asked.calibration is not None:
-        found = asked.calibration.applied(found, Path(str(request.calibration)))
-    return found, choice
 
 
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
@@ -276,46 +251,6 @@ def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | No
     return claimed.gsd_m, CLAIM_SD
 
 
-def _looked_for(
-    source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees; both name the input."""
-    effort, network = effort_of(request), detector_of(source, request)
-    zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
-    try:
-        search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
-        found, choice = find_in(source, request.wanted_mode, search)
-    except (TooLittleEvidence, EvidenceDisagrees) as error:
-        raise type(error)(f"{source.path}: {error.message}", error.hint) from error
-    if request.refine:
-        workers = worker_count(effort.workers)
-        ruler = (found.zoom, found.ruler.noise)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
-    return replace(found, notes=(*found.notes, *network.notes)), choice
-
-
-def effort_of(request: EstimateRequest) -> Effort:
-    """The effort that `request` sets."""
-    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
-
-
-def detector_of(source: Source, request: EstimateRequest) -> Detector:
-    """The detector that `request` asks for, for `source`. Raises InputError, UsageError."""
-    path = None if request.detector is None else Path(request.detector)
-    # A user's own network processes one image at a time, with all cores.
-    threads = effort_of(request).threads_each if path is None else 0
-    return Detector(path, request.decoder, request.vehicle_classes, threads, _passes(source, request))
-
-
-def _passes(source: Source, request: EstimateRequest) -> Passes:
-    """Which detection passes are made over the pictures of `source`."""
-    if source.plan is None:
-        return Passes.COARSE_FIRST
-    if request.confirms:
-        return Passes.CONFIRMED
-    return Passes.FINE_FIRST if request.fast or request.detector is not None else Passes.TWICE_CONFIRMED
-
-
 def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
     """The ground of a reconstruction, from the vehicles `found` in its frames or else in its ground pictures; from its
     sparse points alone where vehicles are too few."""
@@ -326,29 +261,6 @@ def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
             if found.planar is not None:
                 return SweepGeometry.of(source.posed, found.planar).footing
     return BY_POINTS
-
-
-def _sampling(source: Source, fleet: Fleet) -> Sampling:
-    """Functions that give the sampling part of the uncertainty after a part of the sweep of `source`."""
-    one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
-    plan, posed = source.plan, source.posed
-
-    def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
-        def sampling(found: Detections) -> float:
-            try:
-                scale = measure(geometry(found), one).scale
-            except TooLittleEvidence:
-                return np.inf
-            return scale.parts["sampling"] if scale.vehicles_used else np.inf
-
-        return sampling
-
-    if plan is not None:
-        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
-    if posed is None:
-        return Sampling()
-    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
-    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
 
 
 def _typical_length(found: Detections) -> str:
