@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim, perhaps_metric
+from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim
 from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
@@ -94,7 +94,7 @@ def checked(
         scale = result.scale
         by = f"{scale.text()}, 90 % {scale.text(*scale.interval90)}"
         raise UsageError(f"{source.path} claims no scale: {NOT_TOLD}; it has {by}", "Write it in metres by `fix`.")
-    return Checked(_without_note(result), found)
+    return Checked(result, found)
 
 
 def require_claim(source: Source) -> None:
@@ -112,11 +112,3 @@ def comparisons(result: Result) -> list[Comparison]:
     """The claims of its source, compared with the result."""
     own = own_claim(result.source, result.scale) or metric_claim(result.source, result.scale)
     return [own] if own else []
-
-
-def _without_note(result: Result) -> Result:
-    """`result` without the note that a model's unit is nearly a metre: the comparison says so already."""
-    scale = result.scale
-    note = perhaps_metric(result.source, scale)
-    scale = replace(scale, remarks=tuple(remark for remark in scale.remarks if remark not in note))
-    return replace(result, measured=replace(result.measured, scale=scale))

@@ -86,7 +86,21 @@ def estimate(
     `requests.EstimateRequest` has the defaults, and which options exclude each other. Raises InputError, UsageError (no
     such option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
-    return measured(path, EstimateRequest.of(options), progress)
+    return estimated(path, EstimateRequest.of(options), progress)
+
+
+def estimated(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    alone: bool = True,
+) -> Result:
+    """As `measured`, with a note on a model that does not count as metric, but whose unit is nearly a metre (`check`
+    compares it with a metre instead)."""
+    result = measured(path, request, progress, told, alone)
+    scale = result.scale.remarked(*perhaps_metric(result.source, result.scale))
+    return replace(result, measured=replace(result.measured, scale=scale))
 
 
 @dataclass(frozen=True)
@@ -140,8 +154,7 @@ def measured(
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
-    scale = measurement.scale.remarked(*perhaps_metric(source, measurement.scale))
-    measurement = replace(measurement, scale=scale)
+    scale = measurement.scale
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
     found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
