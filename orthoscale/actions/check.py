@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
 from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim
-from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
 from ..requests import EstimateRequest
-from .estimate import measured
+from .estimate import OnBoxes, measured
 from .opening import source_of
 
 if TYPE_CHECKING:
@@ -81,13 +79,13 @@ def checked(
     path: str | Path | Source,
     request: EstimateRequest,
     progress: Progress | None = None,
-    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    on_boxes: OnBoxes | None = None,
     alone: bool = True,
 ) -> Checked:
-    """Check the input at `path` as `request` says; see `check`. told, alone : as in `measured`."""
+    """Check the input at `path` as `request` says; see `check`. on_boxes, alone : as in `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress, told, alone)
+    result = measured(source, request, progress, on_boxes, alone)
     found = comparisons(result)
     if source.posed is not None and not found and not source.metric_already:
         result.require_useful()

@@ -49,6 +49,9 @@ HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georefe
 
 log = logging.getLogger(__name__)
 
+OnBoxes = Callable[[Detections, Source], None]
+"""What is called with the boxes that were found, and their source."""
+
 
 def estimate(
     path: str | Path | Source, *, progress: Progress | None = None, **options: Unpack[EstimateOptions]
@@ -93,12 +96,12 @@ def estimated(
     path: str | Path | Source,
     request: EstimateRequest,
     progress: Progress | None = None,
-    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    on_boxes: OnBoxes | None = None,
     alone: bool = True,
 ) -> Result:
     """As `measured`, with a note on a model that does not count as metric, but whose unit is nearly a metre (`check`
     compares it with a metre instead)."""
-    result = measured(path, request, progress, told, alone)
+    result = measured(path, request, progress, on_boxes, alone)
     scale = result.scale.remarked(*perhaps_metric(result.source, result.scale))
     return replace(result, measured=replace(result.measured, scale=scale))
 
@@ -121,11 +124,14 @@ def measured(
     path: str | Path | Source,
     request: EstimateRequest,
     progress: Progress | None = None,
-    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    on_boxes: OnBoxes | None = None,
     alone: bool = True,
 ) -> Result:
-    """Measure the input at `path` as `request` says; see `estimate`. told : called with the boxes and their source as
-    soon as the boxes are found. alone : whether `request` is for this input only."""
+    """Measure the input at `path` as `request` says; see `estimate`.
+
+    on_boxes : called as soon as boxes are found, also if these give no scale. alone : whether `request` is for this
+    input only.
+    """
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
@@ -143,7 +149,8 @@ def measured(
     try:
         try:
             found, choice = boxes_of(asked, request, progress, alone)
-            told(found, source)
+            if on_boxes is not None:
+                on_boxes(found, source)
             answer = _of_vehicles(asked, found, method, request, wanted)
         except TooLittleEvidence as error:
             if method.vehicles_only:

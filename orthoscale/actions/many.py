@@ -49,7 +49,7 @@ def run_many(
     request: EstimateRequest,
     out: Path | None = None,
     jobs: int = 1,
-    said: Callable[[Row], None] = lambda row: None,
+    on_row: Callable[[Row], None] = lambda row: None,
     places: Sequence[Path] | None = None,
 ) -> list[Row]:
     """Do `action` (estimate, fix or check) for each of `inputs`; return a row of COLUMNS for each, in their order.
@@ -59,7 +59,7 @@ def run_many(
     once, each in a process of its own with its own memory budget; the cores are shared among them. With a Dask
     scheduler in `request` each input is a task there instead, and every machine must see the files under the same
     paths.
-    said : called with each row as soon as it is done. places : where the copies go, if known already (`outputs_of`).
+    on_row : called with each row as soon as it is done. places : where the copies go, if known already (`outputs_of`).
     Raises UsageError for options that make no sense for many inputs.
     """
     request.check_for_many()
@@ -76,7 +76,7 @@ def run_many(
             rows[k] = row
             if row["output"] is not None:
                 stopping.written.append(row["output"])
-            said(row)
+            on_row(row)
     finally:
         if made and out is not None:
             with suppress(OSError):

@@ -96,20 +96,20 @@ def surveyed(
     how: Looking,
     together: bool = False,
     progress: Progress | None = None,
-    keep: Callable[[Detections, Sequence[Photo]], None] | None = None,
+    on_boxes: Callable[[Detections, Sequence[Photo]], None] | None = None,
     **lens: Any,
 ) -> Survey:
     """What `how` asks of the photos at `paths`; `lens` as for `open_photo`. See `photo`.
 
-    keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
+    on_boxes : called with the boxes as soon as they are found, whether or not they turn out to be enough.
     """
     given = find_photos(paths)
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, progress)
-    if keep is not None:
-        keep(found, photos)
+    if on_boxes is not None:
+        on_boxes(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
     if depths is not None:
         outcomes = compared(outcomes, depths, found)
