@@ -40,7 +40,11 @@ log = logging.getLogger(__name__)
 def boxes_of(
     asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
 ) -> tuple[Detections, ZoomChoice | None]:
-    """The boxes to measure, from a file or by a detector, with the ruler that belongs to them."""
+    """The boxes to measure, from a file or by a detector, with the ruler that belongs to them.
+
+    alone : whether `request` is for this input only. Raises InputError, UsageError, TooLittleEvidence,
+    EvidenceDisagrees.
+    """
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
