@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.drawings import CARD, Drawing, RectangleDetector, car_park, rendered_vehicles
 
-from orthoscale.actions.estimate import detector_of
+from orthoscale.actions.boxes import detector_of
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector, Passes

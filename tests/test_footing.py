@@ -9,7 +9,7 @@ import pytest
 from support.flights import FLEET, UNIT, enclosing, found_by
 from support.models import make_model, put_frames, save
 
-from orthoscale.actions import estimate
+from orthoscale.actions import estimate, opening
 from orthoscale.actions.against import _with_ground
 from orthoscale.actions.control import read_control, read_distance
 from orthoscale.actions.estimate import footing_of, measured
@@ -208,7 +208,7 @@ def test_the_whole_way_takes_the_vehicles_ground(under_crowns, tmp_path):
 def test_anchors_and_the_map_are_told_of_it(under_crowns, tmp_path, monkeypatch):
     save_detections(under_crowns.found, tmp_path / "boxes.json")
     told = []
-    monkeypatch.setattr(estimate, "_satellite", lambda path: path)
+    monkeypatch.setattr(opening, "_satellite", lambda path: path)
     monkeypatch.setattr(estimate, "on_map", lambda *args: told.append(args[-1]) or OnMap())
     monkeypatch.setattr(estimate, "look_for_anchors", lambda *args: told.append(args[-1].footing) or FoundAnchors())
     measured(under_crowns.folder, EstimateRequest(fleet="DE", detections=tmp_path / "boxes.json", against="map.tif"))

@@ -24,7 +24,7 @@ from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
-from orthoscale.formats.schemas.report import Report
+from orthoscale.formats.schemas.report import Report, ReportInput
 from orthoscale.report import charts, files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json
@@ -384,6 +384,22 @@ def parts_of(report):
                 yield changed
 
 
+def checked_fields():
+    """The fields that the schema checks, by their place in the report."""
+    fields = {(field.name,): field for field in msgspec.structs.fields(Report)}
+    return fields | {("input", field.name): field for field in msgspec.structs.fields(ReportInput)}
+
+
+def test_the_schema_and_the_readers_agree_on_what_a_report_may_lack():
+    fields = checked_fields()
+    of_schema = {
+        place: field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
+        for place, field in fields.items()
+        if not field.required
+    }
+    assert of_schema == {place: default for place, default in OPTIONAL.items() if place in fields}
+
+
 @pytest.mark.slow
 def test_the_page_does_without_every_part_that_may_be_missing(report, model):
     of_model = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
@@ -395,8 +411,7 @@ def test_the_page_does_without_every_part_that_may_be_missing(report, model):
 
 @pytest.mark.parametrize("ending", ["html", "png"])
 def test_a_report_of_a_former_version_is_drawn(tmp_path, report, ending):
-    required = {field.name for field in msgspec.structs.fields(Report) if field.required}
-    former = {key: value for key, value in report.items() if (key,) not in OPTIONAL or key in required}
+    former = {key: value for key, value in report.items() if (key,) not in OPTIONAL}
     former["input"] = {key: value for key, value in report["input"].items() if key in ("path", "sha256")}
     assert "pixel_aspect" not in former
     (tmp_path / "report.json").write_text(json.dumps(former))

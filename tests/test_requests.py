@@ -124,7 +124,7 @@ def test_with_a_projection_of_frames_nothing_is_looked_at_from_above(flight, mon
         modes.append(mode)
         raise TooLittleEvidence("nobody looks")
 
-    monkeypatch.setattr("orthoscale.actions.estimate.find_in", looked)
+    monkeypatch.setattr("orthoscale.actions.boxes.find_in", looked)
     for options in ({}, {"projection": "naive"}, {"projection": "naive", "mode": "both"}):
         with pytest.raises(TooLittleEvidence):
             orthoscale.estimate(flight[0], fleet="US", anchors=["none"], **options)

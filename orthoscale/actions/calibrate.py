@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,7 @@ def _known_gsd(source: Plan, gsd: float | None) -> tuple[float, list[str]]:
 def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
     """The boxes of the vehicles that were found in all looks; equal rows are the same vehicle."""
     rows = [np.arange(len(looks[0]))]
-    for before, here in zip(looks, looks[1:], strict=False):
+    for before, here in pairwise(looks):
         i, j, _ = matched(before[rows[-1]], here, SAME_VEHICLE)
         rows = [*(r[i] for r in rows), j]
     return [look[r] for look, r in zip(looks, rows, strict=True)]
@@ -214,7 +215,7 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     """The noise of one box in length and width [detector px], from the differences between neighbouring looks at the
     same vehicles."""
     noise = []
-    for (a, za), (b, zb) in zip(zip(looks, zooms, strict=True), list(zip(looks, zooms, strict=True))[1:], strict=False):
+    for (a, za), (b, zb) in pairwise(zip(looks, zooms, strict=True)):
         ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
         spread = ROBUST_SD * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
         # Two boxes differ by both their noises, each a share of its own size in pixels.

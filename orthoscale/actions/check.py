@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim, perhaps_metric
-from ..core.detections import Detections
+from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
 from ..requests import EstimateRequest
-from .estimate import measured, source_of
+from .estimate import OnBoxes, measured
+from .opening import source_of
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -80,20 +79,20 @@ def checked(
     path: str | Path | Source,
     request: EstimateRequest,
     progress: Progress | None = None,
-    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    on_boxes: OnBoxes | None = None,
     alone: bool = True,
 ) -> Checked:
-    """Check the input at `path` as `request` says; see `check`. told, alone : as in `measured`."""
+    """Check the input at `path` as `request` says; see `check`. on_boxes, alone : as in `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress, told, alone)
+    result = measured(source, request, progress, on_boxes, alone)
     found = comparisons(result)
     if source.posed is not None and not found and not source.metric_already:
         result.require_useful()
         scale = result.scale
         by = f"{scale.text()}, 90 % {scale.text(*scale.interval90)}"
         raise UsageError(f"{source.path} claims no scale: {NOT_TOLD}; it has {by}", "Write it in metres by `fix`.")
-    return Checked(_without_note(result), found)
+    return Checked(result, found)
 
 
 def require_claim(source: Source) -> None:
@@ -111,11 +110,3 @@ def comparisons(result: Result) -> list[Comparison]:
     """The claims of its source, compared with the result."""
     own = own_claim(result.source, result.scale) or metric_claim(result.source, result.scale)
     return [own] if own else []
-
-
-def _without_note(result: Result) -> Result:
-    """`result` without the note that a model's unit is nearly a metre: the comparison says so already."""
-    scale = result.scale
-    note = perhaps_metric(result.source, scale)
-    scale = replace(scale, remarks=tuple(remark for remark in scale.remarks if remark not in note))
-    return replace(result, measured=replace(result.measured, scale=scale))

@@ -113,47 +113,103 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     """
     if min(len(a), len(b)) < MIN_MATCHED:
         return None
-    za, zb = a @ (1, 1j), b @ (1, 1j)  # a similarity of the plane is a complex factor and a shift
-    tree = cKDTree(b)
-    from_b, to_b = _near_pairs(zb, tree)
-    apart = np.abs(zb[to_b] - zb[from_b])
-    order = np.argsort(apart)
-    apart, from_b, to_b = apart[order], from_b[order], to_b[order]
-    random = np.random.default_rng(0)
-    best, factor, shift, tried, since = 0, 0j, 0j, 0, 0
-    for start in random.permutation(len(a))[:MOST_VEHICLES_BEGUN]:
+    random, there = np.random.default_rng(0), _Points.of(b, reach)
+    best, tried = _search(a @ (1, 1j), there, random)
+    if best.common < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
+        return None
+    # Two points coincide because they were laid on each other, and do not count.
+    as_many = pdtrc(best.common - 3, max(_coincident(a, there, best, random), 1e-300))
+    return None if tried * as_many > BY_CHANCE else (float(abs(best.factor)), best.common)
+
+
+@dataclass(frozen=True)
+class _Similarity:
+    """A similarity of the plane, whose points are complex: a factor and a shift. common : how many points of one set
+    it lays on points of the other."""
+
+    common: int = 0
+    factor: complex = 0j
+    shift: complex = 0j
+
+    def of(self, z: np.ndarray) -> np.ndarray:
+        """Where it lays the complex points `z`, an array of any shape."""
+        return self.factor * z + self.shift
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points that others are laid on.
+
+    z : (M,), complex. reach : the largest distance between matching points. first, second, apart : (P,) indices of
+    neighbouring points, in either order, and their distances, the nearest first.
+    """
+
+    z: np.ndarray
+    tree: cKDTree
+    reach: float
+    first: np.ndarray
+    second: np.ndarray
+    apart: np.ndarray
+
+    @classmethod
+    def of(cls, b: np.ndarray, reach: float) -> _Points:
+        """Of the points `b` (M, 2)."""
+        z, tree = b @ (1, 1j), cKDTree(b)
+        first, second = _near_pairs(z, tree)
+        apart = np.abs(z[second] - z[first])
+        order = np.argsort(apart)
+        return cls(z, tree, reach, first[order], second[order], apart[order])
+
+    def hit_by(self, z: np.ndarray) -> np.ndarray:
+        """Which of the complex points `z`, an array of any shape, have a point of these within reach."""
+        return self.tree.query(_plane(z), distance_upper_bound=self.reach)[0] < np.inf
+
+    def laid_on(self, start: complex, other: complex, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Factors (K,) and shifts (K,) that lay the points `start` and `other` on pairs of these; MOST_PAIRS_TRIED at
+        most, at random."""
+        step = other - start
+        low, high = np.searchsorted(self.apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
+        pick = np.arange(low, high)
+        if len(pick) > MOST_PAIRS_TRIED:
+            pick = random.choice(pick, MOST_PAIRS_TRIED, replace=False)
+        first, second = self.z[self.first[pick]], self.z[self.second[pick]]
+        factors = (second - first) / step
+        return factors, first - factors * start
+
+
+def _search(za: np.ndarray, there: _Points, random: np.random.Generator) -> tuple[_Similarity, int]:
+    """The similarity that lays most of the complex points `za` (N,) on points of `there`, and how many were tried."""
+    best, tried, since = _Similarity(), 0, 0
+    for start in za[random.permutation(len(za))[:MOST_VEHICLES_BEGUN]]:
         since += 1
-        outwards = za[np.argsort(np.abs(za - za[start]))]
+        outwards = za[np.argsort(np.abs(za - start))]
         asked = outwards[1:NEIGHBOURS_ASKED]
         for other in asked[:: -max(1, min(PAIR_STEP, len(asked) // 3))]:
-            step = other - za[start]
-            low, high = np.searchsorted(apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
-            pick = np.arange(low, high)
-            if len(pick) > MOST_PAIRS_TRIED:
-                pick = random.choice(pick, MOST_PAIRS_TRIED, replace=False)
-            if not len(pick) or not step:
+            factors, shifts = there.laid_on(start, other, random)
+            if not len(factors):
                 continue
-            factors = (zb[to_b[pick]] - zb[from_b[pick]]) / step
-            shifts = zb[from_b[pick]] - factors * za[start]
-            tried += len(pick)
-            hits = _hits(factors[:, None] * outwards[:NEIGHBOURS_ASKED] + shifts[:, None], tree, reach).sum(1)
+            tried += len(factors)
+            hits = there.hit_by(factors[:, None] * outwards[:NEIGHBOURS_ASKED] + shifts[:, None]).sum(1)
             for k in np.argsort(-hits, kind="stable")[:MOST_PAIRS_GROWN]:
-                found = _grown(outwards, zb, tree, factors[k], shifts[k], reach)
-                if found is not None and found[0] > best:
-                    best, factor, shift = found
-                    since = 0
-        share = best / min(len(a), len(b))
+                found = _grown(outwards, there, factors[k], shifts[k])
+                if found is not None and found.common > best.common:
+                    best, since = found, 0
+        share = best.common / min(len(za), len(there.z))
         if share > ENOUGH_COMMON or (share > LEAST_COMMON and since >= MOST_WITHOUT_BETTER):
             break
-    if best < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
-        return None
-    # How many coincide by chance: the points are shifted a little, to places where vehicles stand as densely; in all
-    # directions, and along rows. Two points coincide because they were laid on each other, and do not count.
-    far = reach * random.uniform(4, 12, PLACES_ELSEWHERE)
-    row = np.linalg.eigh(np.cov((a - a.mean(0)).T))[1][:, 1] @ (1, 1j) * factor / abs(factor)
+    return best, tried
+
+
+def _coincident(a: np.ndarray, there: _Points, found: _Similarity, random: np.random.Generator) -> float:
+    """How many points of `a` (N, 2) coincide by chance with points of `there`.
+
+    They are shifted a little, to places where vehicles stand as densely: in all directions, and along rows.
+    """
+    far = there.reach * random.uniform(4, 12, PLACES_ELSEWHERE)
+    row = np.linalg.eigh(np.cov((a - a.mean(0)).T))[1][:, 1] @ (1, 1j) * found.factor / abs(found.factor)
     directions = np.exp(2j * np.pi * random.random(PLACES_ELSEWHERE)), row * random.choice([-1, 1], PLACES_ELSEWHERE)
-    chance = max(_hits(factor * za + shift + (far * way)[:, None], tree, reach).sum(1).mean() for way in directions)
-    return None if tried * pdtrc(best - 3, max(chance, 1e-300)) > BY_CHANCE else (float(abs(factor)), best)
+    laid = found.of(a @ (1, 1j))
+    return float(max(there.hit_by(laid + (far * way)[:, None]).sum(1).mean() for way in directions))
 
 
 def _near_pairs(z: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]:
@@ -169,25 +225,19 @@ def _plane(z: np.ndarray) -> np.ndarray:
     return np.stack([z.real, z.imag], -1)
 
 
-def _hits(z: np.ndarray, tree: cKDTree, reach: float) -> np.ndarray:
-    """Which of the complex points `z`, an array of any shape, have a point of `tree` within `reach`."""
-    return tree.query(_plane(z), distance_upper_bound=reach)[0] < np.inf
-
-
-def _grown(
-    za: np.ndarray, zb: np.ndarray, tree: cKDTree, factor: complex, shift: complex, reach: float
-) -> tuple[int, complex, complex] | None:
-    """The number of points `za` that fall on points of `zb` after the similarity was fitted to more and more of them,
-    and the fitted factor and shift; None if the fit fails. za : sorted outwards from where the similarity is known."""
+def _grown(za: np.ndarray, there: _Points, factor: complex, shift: complex) -> _Similarity | None:
+    """The similarity fitted to more and more of the points `za` that fall on points of `there`, beginning with the one
+    of `factor` and `shift`; None if the fit fails. za : sorted outwards from where that is known."""
     sizes = NEIGHBOURS_ASKED * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS_ASKED, 1)))) + 1)
+    found = _Similarity(0, factor, shift)
     for n in [*np.repeat(sizes, 2), len(za)]:
-        distance, index = tree.query(_plane(factor * za[:n] + shift), distance_upper_bound=reach)
+        distance, index = there.tree.query(_plane(found.of(za[:n])), distance_upper_bound=there.reach)
         near = distance < np.inf
-        x, y = za[:n][near], zb[index[near]]
+        x, y = za[:n][near], there.z[index[near]]
         if near.sum() < MIN_MATCHED or not np.ptp(np.abs(x - x[0])):
             return None
         factor = np.vdot(x - x.mean(), y - y.mean()) / np.vdot(x - x.mean(), x - x.mean())
-        shift = y.mean() - factor * x.mean()
+        found = _Similarity(int(near.sum()), factor, y.mean() - factor * x.mean())
         if abs(np.log(abs(factor))) > 2 * LIKELY_RATIO:
             return None
-    return int(near.sum()), factor, shift
+    return found

@@ -12,59 +12,45 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.anchors import Standard
-from ..core.calibration import Calibration
 from ..core.claims import perhaps_metric
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
-from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.footing import BY_POINTS, Footing
-from ..core.measuring.geometry import Geometry
-from ..core.measuring.measure import doubts, measure
+from ..core.measuring.measure import doubts
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.measuring.oblique import FramesGeometry
-from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
 from ..core.progress import Progress
 from ..core.remarks import CAUTION, REFUSAL
-from ..core.source import GpsScale, Source
+from ..core.source import Source
 from ..core.verdicts import UNUSABLE
-from ..detect.detector import Detector, Passes
-from ..detect.find import Effort
-from ..detect.refine import refined
-from ..detect.workers import worker_count
-from ..detect.zoom import told_zoom
-from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
-from ..formats.calibration import load_calibration
-from ..formats.detections import load as load_detections
+from ..errors import InputError, TooLittleEvidence
 from ..formats.tables import standards
 from ..report.result import Result
 from ..requests import EstimateRequest
-from ..sources.country import country_of, fleet_at, named_fleet
-from ..sources.location import location_of
+from ..sources.country import country_of
 from ..sources.on_map import OnMap
-from ..sources.opening import AN_INPUT, open_source
-from ..system.paths import path_of
 from .against import on_map
-from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
-from .control import read_control, read_distance
-from .find import Sampling, VehicleSearch, find_in, measured_anew
+from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors
+from .boxes import boxes_of, effort_of
+from .opening import Opened, given_evidence, opened
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..detect.zoom import ZoomChoice
     from ..requests import EstimateOptions
-    from ..sources.satellite import Satellite
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georeferencing, where no vehicles give a scale
 
 log = logging.getLogger(__name__)
+
+OnBoxes = Callable[[Detections, Source], None]
+"""What is called with the boxes that were found, and their source."""
 
 
 def estimate(
@@ -103,50 +89,21 @@ def estimate(
     `requests.EstimateRequest` has the defaults, and which options exclude each other. Raises InputError, UsageError (no
     such option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
-    return measured(path, EstimateRequest.of(options), progress)
+    return estimated(path, EstimateRequest.of(options), progress)
 
 
-@dataclass(frozen=True)
-class Opened:
-    """The inputs of a request, opened and checked against each other, before anything is measured.
-
-    why : notes on how the fleet was chosen, if the user did not name it. given : the user's evidence on the scale, and
-    that of the frames' GPS positions. own : the user's standards for anchors, by kind. satellite : the map that the
-    source is compared with.
-    """
-
-    source: Source
-    fleet: Fleet
-    why: tuple[str, ...]
-    calibration: Calibration | None
-    given: tuple[Evidence, ...]
-    own: Mapping[str, tuple[Standard, ...]]
-    satellite: Satellite | None = None
-
-
-def source_of(
-    path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
-) -> Source:
-    """The input at `path`, opened as `request` says; a source is returned as it is. progress : for reading its dense
-    cloud. Raises InputError, UsageError."""
-    if not isinstance(path, (str, Path)) and hasattr(path, "posed"):
-        return path
-    return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
-
-
-def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
-    """The input at `path`, with all files that `request` names. progress : for reading its dense cloud.
-
-    Raises InputError, UsageError.
-    """
-    known = None if request.calibration is None else load_calibration(Path(request.calibration))
-    named = named_fleet(request.fleet, known)
-    source = source_of(path, request, request.needs_pictures, progress)
-    fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
-    request.check_for(source)
-    given, why = _given(source, request), (*why, *_gps(source, request).notes)
-    own = own_standards(request.anchor)
-    return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
+def estimated(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    on_boxes: OnBoxes | None = None,
+    alone: bool = True,
+) -> Result:
+    """As `measured`, with a note on a model that does not count as metric, but whose unit is nearly a metre (`check`
+    compares it with a metre instead)."""
+    result = measured(path, request, progress, on_boxes, alone)
+    scale = result.scale.remarked(*perhaps_metric(result.source, result.scale))
+    return replace(result, measured=replace(result.measured, scale=scale))
 
 
 @dataclass(frozen=True)
@@ -167,11 +124,14 @@ def measured(
     path: str | Path | Source,
     request: EstimateRequest,
     progress: Progress | None = None,
-    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    on_boxes: OnBoxes | None = None,
     alone: bool = True,
 ) -> Result:
-    """Measure the input at `path` as `request` says; see `estimate`. told : called with the boxes and their source as
-    soon as the boxes are found. alone : whether `request` is for this input only."""
+    """Measure the input at `path` as `request` says; see `estimate`.
+
+    on_boxes : called as soon as boxes are found, also if these give no scale. alone : whether `request` is for this
+    input only.
+    """
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
@@ -188,8 +148,9 @@ def measured(
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
         try:
-            found, choice = _found(asked, request, progress, alone)
-            told(found, source)
+            found, choice = boxes_of(asked, request, progress, alone)
+            if on_boxes is not None:
+                on_boxes(found, source)
             answer = _of_vehicles(asked, found, method, request, wanted)
         except TooLittleEvidence as error:
             if method.vehicles_only:
@@ -200,8 +161,7 @@ def measured(
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
-    scale = measurement.scale.remarked(*perhaps_metric(source, measurement.scale))
-    measurement = replace(measurement, scale=scale)
+    scale = measurement.scale
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
     found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
@@ -215,22 +175,6 @@ def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidenc
     return TooLittleEvidence(error.message, "\n".join([error.hint, *cautions]))
 
 
-def _found(
-    asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
-) -> tuple[Detections, ZoomChoice | None]:
-    """The boxes to measure, from a file or by a detector, with the ruler that belongs to them."""
-    choice = None
-    if request.detections is not None:
-        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
-    else:
-        found, choice = _looked_for(asked.source, request, asked.fleet, progress)
-    found = measured_anew(asked.source, found, request, effort_of(request), progress)
-    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-    if asked.calibration is not None:
-        found = asked.calibration.applied(found, Path(str(request.calibration)))
-    return found, choice
-
-
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
     """The scale from the vehicles; then with the evidence of the map and of the anchors, both searched at that scale.
 
@@ -240,7 +184,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     footing = footing_of(source, found, fleet)
     given = method
     if footing is not BY_POINTS:  # the user's evidence is measured on that ground, too
-        evidence = _given(source, request, footing)
+        evidence = given_evidence(source, request, footing)
         given = replace(method, evidence=tuple(evidence))
     by_vehicles = _by_vehicles(source, found, fleet, given, request)
 
@@ -327,60 +271,6 @@ def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | No
     return claimed.gsd_m, CLAIM_SD
 
 
-def _looked_for(
-    source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees; both name the input."""
-    effort, network = effort_of(request), detector_of(source, request)
-    zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
-    try:
-        search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
-        found, choice = find_in(source, request.wanted_mode, search)
-    except (TooLittleEvidence, EvidenceDisagrees) as error:
-        raise type(error)(f"{source.path}: {error.message}", error.hint) from error
-    if request.refine:
-        workers = worker_count(effort.workers)
-        ruler = (found.zoom, found.ruler.noise)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
-    return replace(found, notes=(*found.notes, *network.notes)), choice
-
-
-def effort_of(request: EstimateRequest) -> Effort:
-    """The effort that `request` sets."""
-    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
-
-
-def detector_of(source: Source, request: EstimateRequest) -> Detector:
-    """The detector that `request` asks for, for `source`. Raises InputError, UsageError."""
-    path = None if request.detector is None else Path(request.detector)
-    # A user's own network processes one image at a time, with all cores.
-    threads = effort_of(request).threads_each if path is None else 0
-    return Detector(path, request.decoder, request.vehicle_classes, threads, _passes(source, request))
-
-
-def _passes(source: Source, request: EstimateRequest) -> Passes:
-    """Which detection passes are made over the pictures of `source`."""
-    if source.plan is None:
-        return Passes.COARSE_FIRST
-    if request.confirms:
-        return Passes.CONFIRMED
-    return Passes.FINE_FIRST if request.fast or request.detector is not None else Passes.TWICE_CONFIRMED
-
-
-def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:
-    """The evidence on the scale [m per unit] from the user and from the frames' tags, on the ground of `footing`.
-    Raises UsageError, InputError."""
-    given = [read_distance(text, source, footing) for text in dict.fromkeys(request.known_distance)]
-    if request.ground_control is not None:
-        given.append(read_control(Path(request.ground_control), source, footing))
-    return [*given, *_gps(source, request).evidence]
-
-
-def _gps(source: Source, request: EstimateRequest) -> GpsScale:
-    """The scale from the GPS positions of frames, if there are any and they count."""
-    return source.posed.gps if source.posed is not None and request.counts_gps else GpsScale()
-
-
 def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
     """The ground of a reconstruction, from the vehicles `found` in its frames or else in its ground pictures; from its
     sparse points alone where vehicles are too few."""
@@ -391,38 +281,6 @@ def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
             if found.planar is not None:
                 return SweepGeometry.of(source.posed, found.planar).footing
     return BY_POINTS
-
-
-def _satellite(path: str | Path | None) -> Satellite | None:
-    """The map at `path`. Raises InputError, UsageError."""
-    if path is None:
-        return None
-    from ..sources.satellite import Satellite
-
-    return Satellite.open(Path(path))
-
-
-def _sampling(source: Source, fleet: Fleet) -> Sampling:
-    """Functions that give the sampling part of the uncertainty after a part of the sweep of `source`."""
-    one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
-    plan, posed = source.plan, source.posed
-
-    def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
-        def sampling(found: Detections) -> float:
-            try:
-                scale = measure(geometry(found), one).scale
-            except TooLittleEvidence:
-                return np.inf
-            return scale.parts["sampling"] if scale.vehicles_used else np.inf
-
-        return sampling
-
-    if plan is not None:
-        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
-    if posed is None:
-        return Sampling()
-    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
-    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
 
 
 def _typical_length(found: Detections) -> str:

@@ -15,8 +15,8 @@ from ..option import flag
 from ..report.document import completed, read_json
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
-from .estimate import source_of
 from .fix import report_paths
+from .opening import source_of
 
 SAME_COPY = ("overwrite", "workers", "scheduler", "cache")  # options that do not change the copy
 PERMITTING = ("force", "override")  # options that may permit a copy, but do not change it

@@ -20,8 +20,9 @@ from ..sources.opening import AN_INPUT
 from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
-from .estimate import measured, source_of
+from .estimate import estimated
 from .kept_boxes import KeptBoxes
+from .opening import source_of
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -75,7 +76,7 @@ def written(
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, boxes = begun.source, begun.writer, begun.boxes
         with boxes.also_without_scale():
-            result = measured(source, request.estimating(), progress, boxes.take, alone)
+            result = estimated(source, request.estimating(), progress, boxes.take, alone)
             boxes.take(result.detections, source)
             if not request.force:
                 result.require_useful()

@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -96,26 +96,34 @@ def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     _check_folder(inputs, folder)
     owner = cache(lambda name: _owner(folder / name))
     real = [Path(os.path.realpath(path)) for path in inputs]
+    names = []
+    for path, mine, new in zip(inputs, real, _new_names(inputs), strict=True):
+        kept = next((name for name in (*_names(path, False), *_names(path, True)) if owner(name) == mine), None)
+        names.append(new if kept is None else [kept])
+    return [folder / name for name in _told_apart(names, lambda k, name: owner(name) not in (None, real[k]))]
+
+
+def _new_names(inputs: Sequence[Path]) -> list[list[str]]:
+    """For each of `inputs` the names that its copy may get, the shortest first; the last one is unique to it."""
     bare = [path.parent / path.stem.lower() for path in map(absolute, inputs)]
     twins = {each for each, count in Counter(bare).items() if count > 1}
     folders = Counter(each.name for each in set(bare))  # in how many folders each name occurs
-    names = [_names(path, each in twins)[folders[each.name] > 1 :] for path, each in zip(inputs, bare, strict=True)]
-    kept = [
-        next((name for name in (*_names(path, False), *_names(path, True)) if owner(name) == mine), None)
-        for path, mine in zip(inputs, real, strict=True)
-    ]
+    return [_names(path, each in twins)[folders[each.name] > 1 :] for path, each in zip(inputs, bare, strict=True)]
+
+
+def _told_apart(names: list[list[str]], of_another: Callable[[int, str], bool]) -> list[str]:
+    """One name for each input, of those in `names`: the first that no other input has as well, whatever the case of its
+    letters, and that is not `of_another` (called with the number of the input and the name); else the last."""
     while True:
-        taken = [names[k][0] if name is None else name for k, name in enumerate(kept)]
-        count = Counter(name.lower() for name in taken)
-        again = [
-            k
-            for k, name in enumerate(taken)
-            if kept[k] is None and len(names[k]) > 1 and (count[name.lower()] > 1 or owner(name) not in (None, real[k]))
+        first = [each[0] for each in names]
+        count = Counter(name.lower() for name in first)
+        left = [
+            each[1:] if len(each) > 1 and (count[name.lower()] > 1 or of_another(k, name)) else each
+            for k, (each, name) in enumerate(zip(names, first, strict=True))
         ]
-        if not again:
-            return [folder / name for name in taken]
-        for k in again:
-            names[k] = names[k][1:]
+        if left == names:
+            return first
+        names = left
 
 
 def _check_folder(inputs: Sequence[Path], folder: Path) -> None:

@@ -18,7 +18,9 @@ from ..report.document import write_json
 from ..requests import EstimateRequest
 from ..sources.country import country_of, named_fleet
 from .anchors import MOST_SOUGHT, Wanted, anchors_at, look_for_anchors, own_standards
-from .estimate import effort_of, footing_of, measured, source_of
+from .boxes import effort_of
+from .estimate import footing_of, measured
+from .opening import source_of
 
 # Options that have an effect where the scale is given by --scale.
 WITH_A_SCALE = ("fleet", "images", "ground_cloud", "anchors", "anchor", "workers", "cache")

@@ -31,7 +31,7 @@ from ..system.budget import allow, memory
 from ..system.paths import absolute
 from ..system.threads import Threads
 from .check import checked
-from .estimate import measured
+from .estimate import estimated
 from .finished import finished
 from .fix import written
 from .inputs import outputs_of
@@ -49,7 +49,7 @@ def run_many(
     request: EstimateRequest,
     out: Path | None = None,
     jobs: int = 1,
-    said: Callable[[Row], None] = lambda row: None,
+    on_row: Callable[[Row], None] = lambda row: None,
     places: Sequence[Path] | None = None,
 ) -> list[Row]:
     """Do `action` (estimate, fix or check) for each of `inputs`; return a row of COLUMNS for each, in their order.
@@ -59,7 +59,7 @@ def run_many(
     once, each in a process of its own with its own memory budget; the cores are shared among them. With a Dask
     scheduler in `request` each input is a task there instead, and every machine must see the files under the same
     paths.
-    said : called with each row as soon as it is done. places : where the copies go, if known already (`outputs_of`).
+    on_row : called with each row as soon as it is done. places : where the copies go, if known already (`outputs_of`).
     Raises UsageError for options that make no sense for many inputs.
     """
     request.check_for_many()
@@ -76,7 +76,7 @@ def run_many(
             rows[k] = row
             if row["output"] is not None:
                 stopping.written.append(row["output"])
-            said(row)
+            on_row(row)
     finally:
         if made and out is not None:
             with suppress(OSError):
@@ -120,7 +120,7 @@ def one(job: Job) -> Row:
         try:
             _do(job, path, row)
         except Incomplete as error:
-            _fill(row, error.result)
+            _fill_by_result(row, error.result)
             row["output"] = job["out"]
             raise
     except OrthoscaleError as error:
@@ -138,45 +138,26 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     if job["action"] == "fix":
         out, asked = Path(job["out"]), FixRequest.of(job["settings"])
         if (done := finished(path, out, asked)) is not None:
-            _fill_by_report(row, *done)
+            _fill(row, *done)
         else:
-            _fill(row, written(path, out, asked, alone=job["alone"]))
+            _fill_by_result(row, written(path, out, asked, alone=job["alone"]))
         row["output"] = job["out"]
         return
     request = EstimateRequest.of(job["settings"])
     if job["action"] == "estimate":
-        result = measured(path, request, alone=job["alone"])
-        _fill(row, result)
+        result = estimated(path, request, alone=job["alone"])
+        _fill_by_result(row, result)
         result.require_useful()
         return
     outcome = checked(path, request, alone=job["alone"])
-    _fill(row, outcome.result)
+    _fill_by_result(row, outcome.result)
     for claim in outcome.comparisons:
         row |= {"claimed": claim.claimed, "claim": claim.verdict}
     outcome.require_agreement()
 
 
-def _fill(row: Row, result: Result) -> None:
-    scale, place = result.scale, location_of(result.source)
-    claim = own_claim(result.source, scale)
-    row |= {
-        "scale": scale.value,
-        "unit": scale.unit,
-        "low90": scale.interval90[0],
-        "high90": scale.interval90[1],
-        "verdict": scale.verdict,
-        "vehicles_used": scale.vehicles_used,
-        "fleet": scale.fleet,
-        "claimed": claim and claim.claimed,
-        "claim": claim and claim.verdict,
-        "longitude": place and place.longitude,
-        "latitude": place and place.latitude,
-        "seconds": round(result.seconds, 2),
-    }
-
-
-def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None:
-    """As `_fill`, from the report of an earlier run."""
+def _fill(row: Row, report: Mapping[str, Any], source: Source) -> None:
+    """Fill the columns that a `report` of `source` has values for."""
     place, claim = location_of(source), report["claim"]
     row |= {name: report[name] for name in ("scale", "unit", "verdict", "vehicles_used", "fleet", "seconds")}
     row |= {
@@ -187,6 +168,23 @@ def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None
         "longitude": place and place.longitude,
         "latitude": place and place.latitude,
     }
+
+
+def _fill_by_result(row: Row, result: Result) -> None:
+    """As `_fill`, from the few parts of a report that a row shows; a whole one would need the hash of the input."""
+    scale = result.scale
+    claim = own_claim(result.source, scale)
+    report = {
+        "scale": scale.value,
+        "unit": scale.unit,
+        "interval90": scale.interval90,
+        "verdict": scale.verdict,
+        "vehicles_used": scale.vehicles_used,
+        "fleet": scale.fleet,
+        "claim": claim and claim.document(),
+        "seconds": round(result.seconds, 2),
+    }
+    _fill(row, report, result.source)
 
 
 def check_folder(out: Path) -> None:

@@ -10,10 +10,11 @@ from ..formats.detections import load as load_detections
 from ..formats.detections import output_of
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import Outputs
+from .boxes import detector_of
 from .check import require_claim
-from .estimate import detector_of, opened
 from .find import measurer_of
 from .fix import rehearsed
+from .opening import opened
 
 
 def rehearsal(

@@ -75,8 +75,8 @@ def check(
     vehicles that both show.
     """
     from ..actions.check import checked
-    from ..actions.estimate import source_of
     from ..actions.kept_boxes import KeptBoxes
+    from ..actions.opening import source_of
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summaries)
@@ -141,8 +141,9 @@ OF_MODEL = ("images", "ground_cloud", "mode", "projection", "gps")
 def _against_model(
     path: Path, as_json: bool, model: Path, model_detections: Path | None, request: EstimateRequest, dry_run: bool
 ) -> None:
-    from ..actions import estimate as pipeline
     from ..actions.cross_check import check_against_model, plan_and_posed
+    from ..actions.estimate import measured
+    from ..actions.opening import source_of
     from ..actions.rehearsal import rehearsal
 
     not_of_model = {*OF_ORTHOPHOTO, *(request.of_detector if model_detections is not None else ())}
@@ -150,13 +151,13 @@ def _against_model(
         not_of_model.add("measurer")
     of_ortho, of_model = request.without(OF_MODEL), request.without(not_of_model, detections=model_detections)
     with progress_bars() as progress:
-        plan = pipeline.source_of(path, of_ortho, of_ortho.needs_pictures)
-        posed = pipeline.source_of(model, of_model, of_model.needs_pictures, progress)
+        plan = source_of(path, of_ortho, of_ortho.needs_pictures)
+        posed = source_of(model, of_model, of_model.needs_pictures, progress)
         plan_and_posed(plan, posed)
         if dry_run:
             tell_rehearsals([rehearsal(path, of_ortho), rehearsal(model, of_model)], as_json)
             return
-        ortho, frames = pipeline.measured(plan, of_ortho, progress), pipeline.measured(posed, of_model, progress)
+        ortho, frames = measured(plan, of_ortho, progress), measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)
     if as_json:
         click.echo(json_in_utf8(checked.document()))

@@ -167,14 +167,14 @@ def run(
             rehearse(found, request, places, leave=leave, needs_claim=action == "check", as_json=as_json)
         done: list[Row] = []
 
-        def said(row: Row) -> None:
+        def on_row(row: Row) -> None:
             done.append(row)
             if progress:
                 progress("Inputs", len(done), len(found))
             if not as_json:
                 say(line(row))
 
-        rows = run_many(action, found, request, out, many.jobs or 1, said, places)
+        rows = run_many(action, found, request, out, many.jobs or 1, on_row, places)
         for place, summary in zip(partials, many.summaries, strict=True):
             write_summary(rows, place, summary)
     if as_json:

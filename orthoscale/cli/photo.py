@@ -84,8 +84,8 @@ def photo(
             tables.check_ending(path)
         partials = [files.file(path, tables.known(path)) for path in outputs]
         saved = output_of(files, save_detections)
-        keep = None if saved is None else _keeper(files, saved)
-        made = survey.surveyed(paths, how, together, progress, keep, **lens)
+        on_boxes = None if saved is None else _keeper(files, saved)
+        made = survey.surveyed(paths, how, together, progress, on_boxes, **lens)
         outcomes, pooled = made.outcomes, made.together
         text = made.to_dict()
         for partial in partials:

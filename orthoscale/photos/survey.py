@@ -96,20 +96,20 @@ def surveyed(
     how: Looking,
     together: bool = False,
     progress: Progress | None = None,
-    keep: Callable[[Detections, Sequence[Photo]], None] | None = None,
+    on_boxes: Callable[[Detections, Sequence[Photo]], None] | None = None,
     **lens: Any,
 ) -> Survey:
     """Measure the photos at `paths` as `how` requests; `lens` as for `open_photo`. See `photo`.
 
-    keep : called with the boxes as soon as they are found, whether or not they are enough for a scale.
+    on_boxes : called with the boxes as soon as they are found, whether or not they are enough for a scale.
     """
     given = find_photos(paths)
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, progress)
-    if keep is not None:
-        keep(found, photos)
+    if on_boxes is not None:
+        on_boxes(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
     if depths is not None:
         outcomes = compared(outcomes, depths, found)

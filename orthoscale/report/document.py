@@ -39,7 +39,8 @@ FIRST_FORMAT = "orthoscale report 1"
 ORTHOPHOTO, RECONSTRUCTION = "orthophoto", "reconstruction"  # kinds of inputs
 
 # Parts that a report may lack (an orthophoto has no frames, few views show no trend, an older version wrote less), by
-# their place in the document, and their defaults. Everything else is in every report.
+# their place in the document, and their defaults, which are those of `formats.schemas.report.Report` for what that
+# checks. Everything else is in every report.
 OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
@@ -48,8 +49,6 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("without_anchors",): None,
     ("remarks",): [],
     ("judgements",): [],
-    ("vehicles_rejected",): {},
-    ("boxes_rejected",): {},
     ("sweep",): None,
     ("zoom_search",): None,
     ("claim",): None,
@@ -69,8 +68,8 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
     ("calibration", "trends"): None,
     ("input", "folder"): "",
+    ("input", "kind"): "",
     ("pixel_aspect",): 1.0,
-    ("settings",): {},
     ("versions",): {},
     ("created",): "",
     ("seconds",): 0.0,

@@ -60,15 +60,15 @@ class DenseCloud:
     def blocks(self) -> Iterator[np.ndarray]:
         """(N, 3) points [model units, world] in pieces, about MOST_DENSE_POINTS in all at most. Raises InputError for a
         damaged or truncated file."""
-        return _of_depth_maps(self.path, self._told) if self.path.is_dir() else self._of_file()
+        return _of_depth_maps(self.path, self._show_progress) if self.path.is_dir() else self._of_file()
 
     def _of_file(self) -> Iterator[np.ndarray]:
         try:
-            yield from points_in(self.path, MOST_DENSE_POINTS, self._told)
+            yield from points_in(self.path, MOST_DENSE_POINTS, self._show_progress)
         except OSError as error:
             raise InputError(f"{self.path} cannot be read ({error})", "Check its name and permissions.") from error
 
-    def _told(self, done: int, total: int) -> None:
+    def _show_progress(self, done: int, total: int) -> None:
         if self.progress is not None:
             self.progress("dense cloud", done, total)
 
@@ -124,7 +124,7 @@ def _depth_maps(workspace: Path) -> list[Path]:
     return []
 
 
-def _of_depth_maps(workspace: Path, told: Callable[[int, int], None]) -> Iterator[np.ndarray]:
+def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Iterator[np.ndarray]:
     """Blocks (N, 3) of the points of depth maps [model units, world], by the undistorted cameras of their workspace."""
     maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
     if not sparse:
@@ -151,4 +151,4 @@ def _of_depth_maps(workspace: Path, told: Callable[[int, int], None]) -> Iterato
         pose = images[name].cam_from_world()
         rays = np.column_stack([np.asarray(camera.cam_from_img(pixels), float).reshape(-1, 2), np.ones(len(pixels))])
         yield (rays * z[seen, None] - pose.translation) @ pose.rotation.matrix()
-        told(k + 1, len(maps))
+        progress(k + 1, len(maps))

@@ -59,9 +59,9 @@ class _Street:
         return self.site.road[0].endswith("asphalt")
 
     def somewhere(self, apart: float) -> np.ndarray:
-        """Random places along it, about one per `2 * apart` metres."""
-        rng = self.site.rng
-        return np.asarray(rng.uniform(*self.whole, rng.poisson(self.site.reach / apart)))
+        """Random places along it, about one per `apart` metres."""
+        rng, (low, high) = self.site.rng, self.whole
+        return np.asarray(rng.uniform(low, high, rng.poisson((high - low) / apart)))
 
     def place(self, along: float, across: float, heading: float = 0.0) -> tuple[float, float, float]:
         """x, y and heading in street coordinates of the site."""
@@ -82,11 +82,11 @@ class _Street:
             self.lay(self.whole, (-half - self.walk, half + self.walk), 1, pavement)
             self.lay(self.whole, (-half - 0.15, half + 0.15), 2, ("plain", (0.4, 0.39, 0.37)))
         self.lay(self.whole, (-half, half), 3, site.road)
-        for s in self.somewhere(12):
+        for s in self.somewhere(24):
             across, size = rng.uniform(-half + 1, half - 1), rng.uniform(0.3, 3)
             tone = np.asarray(site.road[1]) * rng.uniform(0.55, 1.25)
             self.lay((s, s + size), (across - 0.4, across + 0.4 + size / 6), 5, (site.road[0], tone))
-        for s in self.somewhere(30):
+        for s in self.somewhere(60):
             x, y, _ = self.place(s, -self.width / 4)
             site.add(patch(disc(0.33), 0.005, "plain", (0.05, 0.05, 0.05)), x, y)
 
@@ -99,7 +99,7 @@ class _Street:
         if rng.random() < 0.4:
             for side in (-1, 1):
                 self.lay(self.whole, (side * (lane - 0.1), side * (lane - 0.22)), 4, MARKING)
-        for s in self.somewhere(45):
+        for s in self.somewhere(90):
             for stripe in np.arange(-half + 0.4, half - 0.5, 1.0):
                 self.lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARKING)
 
@@ -146,7 +146,7 @@ def _street(site: Site, at: float, width: float, upright: bool) -> float:
             street.park_along(side, pitch, lane, marked)
         elif parking == "perpendicular" and rng.random() < 0.7:
             street.park_across(side, marked)
-        for s in street.somewhere(22.5):  # traffic
+        for s in street.somewhere(45):  # traffic
             site.offer(*street.place(s, side * min(width / 4, 1.9)), 6.0)
         if rng.random() < 0.5:
             street.plant(side)

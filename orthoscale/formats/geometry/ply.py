@@ -120,9 +120,9 @@ def read_points(path: Path) -> np.ndarray:
     return np.concatenate([np.empty((0, 3)), *points_in(path, MOST_POINTS)])
 
 
-def points_in(path: Path, most: int, told: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
+def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
     """Blocks (N, 3) of the vertices of the PLY file `path`, thinned to `most` at most. Never more than ROWS are in
-    memory. told : called with the number of vertices passed, and their total. Raises InputError."""
+    memory. progress : called with the number of vertices passed, and their total. Raises InputError."""
     with path.open("rb") as file:
         _, form, elements = _header(path, file)
         vertex = elements[0] if elements else None
@@ -149,8 +149,8 @@ def points_in(path: Path, most: int, told: Callable[[int, int], None] | None = N
             if not np.isfinite(block).all():
                 raise InputError(f"{path}: a vertex is not finite, after the {start}th", EXPORT_ANEW)
             yield block
-            if told is not None:
-                told(start + many, vertex.count)
+            if progress is not None:
+                progress(start + many, vertex.count)
 
 
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]:

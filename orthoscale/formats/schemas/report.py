@@ -145,6 +145,6 @@ class Report(Explained, kw_only=True):
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None
-    modes: dict[str, Any] | None = None
+    modes: dict[str, Any] | None = {}
     calibration: dict[str, Any] | None = None
     agreement: dict[str, Any] | None = None
