@@ -192,8 +192,8 @@ def _table() -> dict[str, Any]:
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
-    """The facility of an entry that fits `schemas.standards.FacilityEntry`. entries : all by their codes, in lower case.
-    Raises ValueError for lines or an infield that make no sense."""
+    """The facility of an entry that fits `schemas.standards.FacilityEntry`. entries : all by code in lower case. Raises
+    ValueError for lines or an infield that make no sense."""
     sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
     both = [_points(line) for line in entry.get("both_ends", [])]
     lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]
