@@ -1,10 +1,14 @@
-"""The scale of a picture from its vehicles and all its anchors together."""
+"""Real pictures of known scale, and the scale of each from its vehicles and all its anchors together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from orthoscale.core.anchors import Anchor
@@ -13,7 +17,39 @@ from orthoscale.core.measuring.anchors import votes_in_plan
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Posterior
 
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+CHIP_GSD = 0.3048  # [m/px] one foot per pixel
+VEHICLES_SD = 0.08  # relative one sigma of the vehicles' scale
 SAME_LOG = 0.01  # [ln] two possible scales of an anchor that are this near each other count as one
+
+
+Sample = tuple[str, np.ndarray, float, str]
+"""Name, RGB picture, ground sampling distance [m/px] and country."""
+
+
+def read(path: Path) -> np.ndarray:
+    """RGB of a picture's file."""
+    return np.asarray(cv2.imread(str(path)))[..., ::-1]
+
+
+def chips(wanted: Callable[[Path], bool] = lambda path: True) -> Iterator[Sample]:
+    """American chips, those whose paths are `wanted`."""
+    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
+        if wanted(path):
+            yield path.stem, read(path), CHIP_GSD, "US"
+
+
+def scenes(montages: bool = False) -> Iterator[Sample]:
+    """Orthophotos and nadir frames; those that are `montages` of chips only if asked for."""
+    for folder in ("places", "orthophotos"):
+        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
+            if "gsd_m" in known and (montages or not name.startswith("us_")):
+                yield Path(name).stem, read(DATA / folder / name), known["gsd_m"], known["country"]
+
+
+def vehicles_off(rng: np.random.Generator) -> float:
+    """The factor by which the vehicles' scale is wrong: a random VEHICLES_SD, at most 1.5 of them."""
+    return float(np.exp(np.clip(rng.normal(0, VEHICLES_SD), -1.5 * VEHICLES_SD, 1.5 * VEHICLES_SD)))
 
 
 class Place(NamedTuple):

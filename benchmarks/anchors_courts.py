@@ -10,8 +10,6 @@ CPU seconds are those of this process, whatever else the machine does.
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +24,18 @@ from orthoscale.core.anchors import Anchor
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
-from anchor_places import Place, half_width, held, place_of  # noqa: E402
+from anchor_places import (  # noqa: E402
+    CHIP_GSD,
+    VEHICLES_SD,
+    Place,
+    Sample,
+    chips,
+    half_width,
+    held,
+    place_of,
+    scenes,
+    vehicles_off,
+)
 from support.courts import (  # noqa: E402
     BLUE,
     CLAY,
@@ -39,10 +48,6 @@ from support.courts import (  # noqa: E402
     tennis,
     volleyball,
 )
-
-DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-CHIP_GSD = 0.3048
-SD = 0.08
 
 
 @dataclass
@@ -58,7 +63,7 @@ class Tally:
 
     def look(self, finder: courts.CourtFinder, name: str, picture: np.ndarray, gsd: float, off: float) -> None:
         start = time.process_time()
-        anchors: list[Anchor] = list(finder.find(picture, gsd * off, SD, ""))
+        anchors: list[Anchor] = list(finder.find(picture, gsd * off, VEHICLES_SD, ""))
         self.seconds += time.process_time() - start
         self.pictures += 1
         self.megapixels += picture.shape[0] * picture.shape[1] / 1e6
@@ -67,7 +72,7 @@ class Tally:
             self.found.append(error)
             self.false.append((name, anchor.false))
         if anchors:
-            self.places.append(place_of(anchors, gsd, gsd * off, SD, ""))
+            self.places.append(place_of(anchors, gsd, gsd * off, VEHICLES_SD, ""))
 
     def row(self, name: str) -> str:
         cost = f"{self.seconds / self.megapixels:.2f}"
@@ -95,24 +100,9 @@ def half_of(path: Path) -> str:
     return ("building", "other")[int(hashlib.md5(path.name.encode()).hexdigest(), 16) % 2]
 
 
-def chips(half: str, kind: str | None) -> Iterator[tuple[str, np.ndarray]]:
-    """RGB chips of a half, with `kind` in their names or, if None, without tennis courts."""
-    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
-        if half_of(path) == half and (path.stem.startswith(kind) if kind else not path.stem.startswith("tennis")):
-            yield path.name, cv2.imread(str(path))[..., ::-1]
-
-
-def off(rng: np.random.Generator) -> float:
-    """The factor by which the vehicles' scale is wrong."""
-    return float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
-
-
-def scenes() -> Iterator[tuple[str, np.ndarray, float]]:
-    """Orthophotos without courts, RGB, and their ground sampling distances."""
-    for folder in ("places", "orthophotos"):
-        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
-            if "gsd_m" in known:
-                yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"]
+def half_of_chips(half: str, with_courts: bool) -> Iterator[Sample]:
+    """The chips of a half, with tennis courts or without."""
+    return chips(lambda path: half_of(path) == half and path.stem.startswith("tennis") == with_courts)
 
 
 # Each finder, and the functions that draw its courts by the edges that the rules give.
@@ -147,27 +137,27 @@ def main(kind: str = "tennis", half: str = "other") -> None:
     print(HEAD)
     for zoom in (1.0, 1.333, 1.64) if kind == "tennis" else ():
         tally, rng = Tally(), np.random.default_rng(0)
-        for name, chip in chips(half, "tennis"):
+        for name, chip, *_ in half_of_chips(half, with_courts=True):
             size = [round(side / zoom) for side in chip.shape[1::-1]]
             small = cv2.resize(chip, size, interpolation=cv2.INTER_AREA) if zoom > 1 else chip
             gsd = CHIP_GSD * float(np.sqrt(np.divide(chip.shape[:2], small.shape[:2]).prod()))
-            tally.look(finder, name, small, gsd, off(rng))
+            tally.look(finder, name, small, gsd, vehicles_off(rng))
         print(tally.row(f"chips with tennis courts, {CHIP_GSD * zoom:.2f} m/px"), flush=True)
     for gsd in (0.05, 0.1, 0.2, 0.3, 0.5):
         tally, rng = Tally(), np.random.default_rng(1)
         for name, picture in drawn(kind, gsd, 24, rng):
-            tally.look(finder, name, picture, gsd, off(rng))
+            tally.look(finder, name, picture, gsd, vehicles_off(rng))
         print(tally.row(f"drawn, a {kind} court each, {gsd:.2f} m/px"), flush=True)
     for what, pictures in (
-        ("chips without tennis courts", ((name, chip, CHIP_GSD) for name, chip in chips(half, None))),
-        ("chips with tennis courts", ((name, chip, CHIP_GSD) for name, chip in chips(half, "tennis"))),
-        ("orthophotos", scenes()),
+        ("chips without tennis courts", half_of_chips(half, with_courts=False)),
+        ("chips with tennis courts", half_of_chips(half, with_courts=True)),
+        ("orthophotos", scenes(montages=True)),
     ):
         if kind == "tennis" and what == "chips with tennis courts":
             continue
         tally, rng = Tally(), np.random.default_rng(2)
-        for name, picture, gsd in pictures:
-            tally.look(finder, name, picture, gsd, off(rng))
+        for name, picture, gsd, _ in pictures:
+            tally.look(finder, name, picture, gsd, vehicles_off(rng))
         print(tally.row(what), *(f"{name}: {false:.2f}" for name, false in tally.false), flush=True)
 
 

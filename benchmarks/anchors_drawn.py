@@ -20,12 +20,12 @@ import numpy as np
 from orthoscale.anchors.kinds import finder
 from orthoscale.core.pooling.posterior import Z90
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
+from anchor_places import VEHICLES_SD, vehicles_off  # noqa: E402
 from support.containers import container_yard  # noqa: E402
 from support.padel import padel_club  # noqa: E402
 
-SD = 0.08
 FALSE_FROM = 0.06
 PICTURES = 24
 GSDS = 0.05, 0.1, 0.2, 0.3  # [m/px]
@@ -62,9 +62,9 @@ def main() -> None:
         found = []
         for number in range(PICTURES):
             image, count = KINDS[kind](number, gsd, rng)
-            told = gsd * float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+            told = gsd * vehicles_off(rng)
             start = time.process_time()
-            anchors = look.find(image, told, SD, "")
+            anchors = look.find(image, told, VEHICLES_SD, "")
             seconds, pixels, there = seconds + time.process_time() - start, pixels + image[..., 0].size, there + count
             errors = [np.log(anchor.metres_per_pixel() / gsd) for anchor in anchors]
             best = [(error[k], k) for error in errors for k in [int(np.abs(error).argmin())]]

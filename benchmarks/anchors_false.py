@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -25,8 +24,9 @@ import numpy as np
 from orthoscale.anchors.kinds import ANCHOR_KINDS, finder, slug
 from orthoscale.sources.opening import open_source
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
+from anchor_places import DATA, Sample, chips, read, scenes  # noqa: E402
 from support.aerial import town  # noqa: E402
 from support.courts import (  # noqa: E402
     GRASS,
@@ -42,8 +42,6 @@ from support.gridiron import field_picture  # noqa: E402
 from support.markings import PAINT, picture, stroke  # noqa: E402
 from support.running import running_track  # noqa: E402
 
-DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-CHIP_GSD = 0.3048
 VEHICLE = 4.4  # [m] median length of vehicles, for the scale of training pictures
 GROUND_ALONE = 0.05  # [m/px] of training pictures without vehicles
 COUNTRIES = {"munich": "DE", "minsk": "BY", "bogota": "CO", "warsaw": "PL"}
@@ -52,28 +50,6 @@ SHOWING = {"tennis court": ("tennis",)}  # by kind, how names of pictures begin 
 FLIGHTS = "brighton", "weedon", "boruszyn"  # and `sheffield`, which has two tennis courts
 DRAWN_GSD, TOWN_GSD = (0.12, 0.2, 0.3, 0.45), 0.12  # [m/px]
 DRAWN_EACH, TOWNS = 4, 16
-
-Sample = tuple[str, np.ndarray, float, str]
-"""Name, RGB picture, ground sampling distance [m/px] and country."""
-
-
-def read(path: Path) -> np.ndarray:
-    """RGB of a picture's file."""
-    return np.asarray(cv2.imread(str(path)))[..., ::-1]
-
-
-def chips() -> Iterator[Sample]:
-    """American chips of one foot per pixel."""
-    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
-        yield path.stem, read(path), CHIP_GSD, "US"
-
-
-def scenes() -> Iterator[Sample]:
-    """Orthophotos and nadir frames, without montages, which are made of chips."""
-    for folder in ("places", "orthophotos"):
-        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
-            if "gsd_m" in known and not name.startswith("us_"):
-                yield Path(name).stem, read(DATA / folder / name), known["gsd_m"], known["country"]
 
 
 def training() -> Iterator[Sample]:

@@ -13,8 +13,6 @@ FOLDER`` writes. CPU seconds are those of this process, including shrinking to t
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -36,15 +34,12 @@ from orthoscale.core.pooling.posterior import Z90
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
-from anchor_places import Place, held, place_of  # noqa: E402
+from anchor_places import VEHICLES_SD, Place, Sample, chips, held, place_of, scenes, vehicles_off  # noqa: E402
 from support.gridiron import field_picture  # noqa: E402
 from support.markings import PAINT, picture, stroke  # noqa: E402
 from support.rails import RUST, railway, track  # noqa: E402
 from support.running import running_track  # noqa: E402
 
-DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
-CHIP_GSD = 0.3048
-SD = 0.08
 HEAD = (
     "| pictures | kind | number | Mpx | anchors | in pictures | error: median [%] | 68 % / 90 % / worst [%] | "
     "in the 90 % interval [%] | places: 68 % / 90 % / worst [%] | in the 90 % interval [%] | CPU s/Mpx |\n"
@@ -69,7 +64,7 @@ class Tally:
         start = time.process_time()
         zoom = min(1.0, gsd * off / self.finder.finest)
         small = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA) if zoom < 1 else image
-        anchors = list(self.finder.find(np.ascontiguousarray(small), gsd * off / zoom, SD, country))
+        anchors = list(self.finder.find(np.ascontiguousarray(small), gsd * off / zoom, VEHICLES_SD, country))
         self.seconds += time.process_time() - start
         self.pictures += 1
         self.megapixels += image.shape[0] * image.shape[1] / 1e6
@@ -80,7 +75,7 @@ class Tally:
             fit = float(np.sqrt(max(anchor.relative_sd**2 - LOCAL_STRETCH**2, 0.0)))
             self.found.append((float(errors[k]), sd, fit))
         if anchors:
-            self.places.append(place_of(anchors, gsd / zoom, gsd * off / zoom, SD, country))
+            self.places.append(place_of(anchors, gsd / zoom, gsd * off / zoom, VEHICLES_SD, country))
         if self.draw and anchors:
             drawn(small, anchors, self.draw / f"{self.finder.kind}-{name}.png")
 
@@ -121,22 +116,7 @@ def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:
     cv2.imwrite(str(path), canvas)
 
 
-def scenes() -> Iterator[tuple[str, np.ndarray, float, str]]:
-    """Orthophotos and nadir frames, RGB, with their ground sampling distances and countries; without montages, which
-    are made of chips."""
-    for folder in ("places", "orthophotos"):
-        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
-            if "gsd_m" in known and not name.startswith("us_"):
-                yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"], known["country"]
-
-
-def chips() -> Iterator[tuple[str, np.ndarray, float, str]]:
-    """American chips of one foot per pixel."""
-    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
-        yield path.stem, cv2.imread(str(path))[..., ::-1], CHIP_GSD, "US"
-
-
-def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray, float, str]]:
+def painted(kind: str, gsd: float, count: int) -> Iterator[Sample]:
     """Drawn anchors, one in each picture, in all directions, worn, partly under vehicles, blurred and noisy."""
     rng = np.random.default_rng(4)
     for number in range(count):
@@ -195,14 +175,14 @@ def main() -> None:
         for sort, pictures in (("orthophotos and frames of 7 places", scenes()), ("American chips", chips())):
             tally, rng = Tally(finder, draw), np.random.default_rng(0)
             for name, image, gsd, country in pictures:
-                off = float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+                off = vehicles_off(rng)
                 if gsd * off <= finder.coarsest:
                     tally.look(name, image, gsd, country, off)
             print(tally.row(sort), flush=True)
         for gsd in (0.06, 0.12, 0.2, 0.3):
             tally, rng = Tally(finder), np.random.default_rng(1)
             for name, image, gsd_, country in painted(finder.kind, gsd, 20):
-                off = float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+                off = vehicles_off(rng)
                 if gsd * off <= finder.coarsest:
                     tally.look(name, image, gsd_, country, off)
             print(tally.row(f"drawn, one each, {gsd:.2f} m/px"), flush=True)

@@ -8,7 +8,7 @@ from support.markings import PAINT, picture, stroke
 
 from orthoscale.anchors.bays import BAY_FALSE, ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
-from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, by_country
+from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, split_by_country
 from orthoscale.anchors.periods import find_row, fit_row
 from orthoscale.anchors.strokes import Strokes, near_pairs
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
@@ -127,7 +127,7 @@ def test_bays_of_an_unknown_country_may_be_of_any():
 
 
 def test_rules_of_a_country_share_its_lines():
-    each = by_country([standard for _, standard in LANE_LINES])
+    each = split_by_country([standard for _, standard in LANE_LINES])
     for country in {code for standard in each for code in standard.countries}:
         assert sum(standard.prior for standard in each if country in standard.countries) == pytest.approx(1)
 

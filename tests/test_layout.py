@@ -154,6 +154,27 @@ def test_a_catalogue_of_ones_own(tmp_path):
         load(path)
 
 
+@pytest.mark.parametrize(("code", "infield"), [("Pitch", "pitch"), ("pitch", "PITCH"), ("Pitch", "Pitch")])
+def test_an_infield_may_be_written_in_capitals(tmp_path, code, infield):
+    """Only one written as its code in lower case was known."""
+    size = {"length": 90, "width": 60, "ends": 1, "sides": 1, "source": "ours"}
+    own = {code: {"name": "pitch", **size}, "Oval": {"name": "oval", **size, "lines": [], "infield": infield}}
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps({"facilities": own}))
+    facilities = load(path)
+    assert np.array_equal(facilities["oval"].lines[-1], facilities["pitch"].lines[0])
+
+
+def test_a_facility_written_in_capitals_replaces_the_infield_too(tmp_path):
+    """The stadium kept the football pitch that was built in."""
+    own = {"name": "our pitch", "length": 90, "width": 60, "ends": 1, "sides": 1, "source": "ours"}
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps({"facilities": {"Football": own}}))
+    facilities = load(path)
+    assert facilities["football"].name == "our pitch"
+    assert np.array_equal(facilities["stadium"].lines[-1], facilities["football"].lines[0])
+
+
 # Placing
 
 

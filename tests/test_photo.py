@@ -440,7 +440,7 @@ def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
     assert off[body] < POOLED and all(off[name] > 0.01 for name in off if name != body)
 
 
-def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path):
+def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path, fleet):
     made = []
 
     class Network:
@@ -454,7 +454,7 @@ def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch,
     photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL)
     for looking in (Looking(), Looking(detector=tmp_path / "own.onnx")):
         with pytest.raises(InterruptedError):
-            boxes_of([photo], looking)
+            boxes_of([photo], looking, fleet)
     assert [threads for threads, _ in made] == [4, 4] and worker_count(None) == 8
     assert [passes for _, passes in made] == [Passes.TWICE_CONFIRMED, Passes.FINE_FIRST], "one photo has no other view"
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
 from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
+from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
 from .repeated import LOCAL_STRETCH
@@ -26,7 +27,6 @@ LINE_CLEAR = 0.4  # ... and as a share of the n-th strongest ridge, where n is t
 LINE_KEPT = 0.3  # least strength of the lines of other blocks, as a share of the first block's
 COMB_FILLED = 0.85  # least share of the lines that are seen
 COMB_REGULAR = 4.0  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
-BLOCKS_MISSING = 2  # most in succession
 FEWEST_BLOCKS = 10
 MOST_BLOCKS = 200  # in one direction: once round a running track
 BLOCKS_KEPT = 0.7  # least share of the blocks tried that show the comb, and of its blocks that show a line
@@ -175,29 +175,18 @@ def _followed(light: np.ndarray, start: np.ndarray, angle: float, comb: Comb) ->
     if first is None:
         return [], 1
     between = first.row.period * (1 - PITCH_KEPT), first.row.period * (1 + PITCH_KEPT)
-    parts, tried = [], 1
-    for way in (1.0, -1.0):
-        got = [first]
-        place, heading, missing = first.place, first.heading, 0
-        while missing <= BLOCKS_MISSING and len(got) < MOST_BLOCKS:
-            place = place + way * comb.block * np.array([np.cos(heading), np.sin(heading)])
-            if not (0 <= place[0] < light.shape[1] and 0 <= place[1] < light.shape[0]):
-                break
-            seen = _block(light, place, heading, comb, between, LINE_KEPT * first.strength)
-            tried, missing = tried + 1, missing + 1 if seen is None else 0
-            if seen is not None:
-                heading = _heading(got, seen, way)
-                got.append(Block(seen.place, heading, seen.row, seen.strength))
-                place = seen.place
-        tried -= missing
-        parts.append(got[1:])
-    return [*parts[1][::-1], first, *parts[0]], tried
+
+    def further(place: np.ndarray, before: Sequence[Block], way: float) -> Block | None:
+        seen = _block(light, place, before[-1].heading, comb, between, LINE_KEPT * first.strength)
+        return None if seen is None else replace(seen, heading=_heading(before, seen.place, way))
+
+    return followed(first, comb.block, light.shape, further, MOST_BLOCKS)
 
 
-def _heading(before: Sequence[Block], now: Block, way: float) -> float:
-    """Direction of the lines at `now` [rad]. The chord from three blocks back turns half as much as the lines do."""
-    back = before[max(len(before) - 3, 0)]
-    chord = (now.place - back.place) * way
+def _heading(before: Sequence[Block], place: np.ndarray, way: float) -> float:
+    """Direction of the lines at `place` [rad]. The chord from three blocks back turns half as much as the lines do."""
+    back = three_back(before)
+    chord = (place - back.place) * way
     turned = (np.arctan2(chord[1], chord[0]) - back.heading + np.pi / 2) % np.pi - np.pi / 2
     return float(back.heading + turned * (2 if len(before) > 1 else 1))
 
@@ -230,16 +219,6 @@ def _block(
         return None
     moved = replace(row, start=row.start - shift)
     return Block(place + shift * across, angle, moved, float(np.median(middle[peak[row.member]])))
-
-
-def ridge_across(profile: np.ndarray, step: float, sd: float) -> np.ndarray:
-    """(N,) ridges of a cross section (N,) sampled every `step` [px]. The filter is the second derivative of a Gaussian
-    of `sd` [px], negated; its absolute values sum to 1."""
-    reach = np.ceil(4 * sd / step)
-    r = np.arange(-reach, reach + 1) * step / sd
-    kernel = (1 - r**2) * np.exp(-0.5 * r**2)
-    kernel = (kernel - kernel.mean()) / np.abs(kernel).sum()
-    return np.convolve(np.pad(profile, len(r) // 2, mode="edge"), kernel, mode="valid")
 
 
 def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> list[Block]:

@@ -94,6 +94,15 @@ def overlap(fit: CourtFit, place: np.ndarray) -> bool:
     return bool((gap < COURTS_OVERLAP * fit.court.size).all())
 
 
+def best_apart(fits: Sequence[CourtFit]) -> list[CourtFit]:
+    """The fits with the most evidence that do not overlap, best first."""
+    kept: list[CourtFit] = []
+    for fit in sorted(fits, key=evidence, reverse=True):
+        if not any(overlap(fit, other.place) or overlap(other, fit.place) for other in kept):
+            kept.append(fit)
+    return kept
+
+
 @dataclass(frozen=True)
 class CourtFinder:
     """Finds one kind of painted court, built to any of several rules; see `AnchorFinder`.
@@ -128,11 +137,7 @@ class CourtFinder:
         fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]
         if fits:
             fits += [fit for court in self.rivals for fit in look.fits(court)]
-        kept: list[CourtFit] = []
-        for fit in sorted(fits, key=evidence, reverse=True):
-            if not any(overlap(fit, other.place) or overlap(other, fit.place) for other in kept):
-                kept.append(fit)
-        return [self._anchor(fit) for fit in kept if fit.court in self.courts]
+        return [self._anchor(fit) for fit in best_apart(fits) if fit.court in self.courts]
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)

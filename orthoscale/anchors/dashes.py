@@ -101,7 +101,7 @@ class LaneDashes:
         known = ruled(self.standards, country)
         if country and not known:  # another country's rule may fit by chance: for Banepa's lines one did, 8 % off
             return []
-        standards = holding(self.standards, country) if known else by_country(self.standards)
+        standards = holding(self.standards, country) if known else split_by_country(self.standards)
         low, high = sizes(standards, gsd, gsd_sd)
         slack = low * gsd / min(standard.metres for standard in standards)
         dashes = [each.metres * share for each in standards for share in _shares(each)]
@@ -118,7 +118,7 @@ class LaneDashes:
         return found
 
 
-def by_country(standards: Sequence[Standard]) -> list[Standard]:
+def split_by_country(standards: Sequence[Standard]) -> list[Standard]:
     """Each of `standards` once for each country that it names; its prior is its share among that country's rules."""
     out = []
     for country in dict.fromkeys(code for standard in standards for code in standard.countries):

@@ -104,14 +104,22 @@ def _pair(
     strokes: Strokes, i: np.ndarray, j: np.ndarray, least: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The pairs (i, j) that can be one double stroke, and the distance between their lines [px]."""
+    ahead, across, shorter, longer, own = _compared(strokes, i, j)
+    own &= longer < ALIKE_PAIR * shorter
+    own &= (across > least) & (across < most) & ((shorter + longer) / 2 - ahead > PAIR_BESIDE * shorter)
+    return i[own], j[own], across[own]
+
+
+def _compared(strokes: Strokes, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How pairs of strokes (i, j) lie to each other, (N,) each: the distance between their centres along and across the
+    strokes [px], the shorter and the longer length [px], and whether they are parallel."""
     apart = strokes.centre[j] - strokes.centre[i]
     ahead = np.abs((apart * strokes.along[i]).sum(1))
     across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
     shorter = np.minimum(strokes.length[i], strokes.length[j])
     longer = np.maximum(strokes.length[i], strokes.length[j])
-    own = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (longer < ALIKE_PAIR * shorter)
-    own &= (across > least) & (across < most) & ((shorter + longer) / 2 - ahead > PAIR_BESIDE * shorter)
-    return i[own], j[own], across[own]
+    parallel = np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL
+    return ahead, across, shorter, longer, parallel
 
 
 def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iterator[Ladder]:
@@ -139,14 +147,9 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
 
 def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """The pairs (i, j) that can belong to one ladder: alike, and side by side."""
-    apart = strokes.centre[j] - strokes.centre[i]
-    ahead = np.abs((apart * strokes.along[i]).sum(1))
-    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
-    shorter = np.minimum(strokes.length[i], strokes.length[j])
-    longer = np.maximum(strokes.length[i], strokes.length[j])
+    ahead, across, shorter, longer, own = _compared(strokes, i, j)
     overlap = (shorter + longer) / 2 - ahead
-    own = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
-    own &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
+    own &= (across > 0.8 * low) & (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
     own &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
     return i[own], j[own]
 

@@ -178,57 +178,74 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
     light = image.astype(np.float32)
     for window in WINDOWS_OVAL:
         reach = max(window / gsd, 1.5)
-        offset = np.arange(-reach - 1, reach + 1.01, 0.5)
-        place, normal, half = oval.points(OVAL_SAMPLES)
-        seen = values(light, place[:, None] + offset[:, None] * normal[:, None])
-        slope = np.gradient(seen, axis=1)
-        # the mean change of colour along the whole oval: edges count by how much of it they show
-        change = slope.mean(0)
-        middle = np.abs(offset) <= reach
-        colour = change[middle][np.linalg.norm(change[middle], axis=1).argmax()]
-        size = float(np.linalg.norm(colour))
-        if size < 1e-3:
+        edges = _edges(light, oval, reach)
+        if edges is None:
             return None
-        signed = slope @ (colour / size)
-        signed[:, ~middle] = -1e9
-        at = signed.argmax(1)
-        strength = signed.max(1)
-        peak = offset[at].copy()
-        inner = (at > 0) & (at < len(offset) - 1)
-        rows = np.flatnonzero(inner)
-        left, mid, right = (signed[rows, at[rows] + d] for d in (-1, 0, 1))
-        fine = (left > -1e8) & (right > -1e8)
-        peak[rows[fine]] += 0.5 * peak_shift(left[fine], mid[fine], right[fine])
-        weight = np.clip(strength / max(float(np.median(strength)), 1e-6), 0, 1)
-        along = np.array([np.cos(oval.angle), np.sin(oval.angle)])
-        lever = place - oval.middle
-        by = np.column_stack(
-            [
-                normal,
-                normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1],
-                half * (normal @ along) / 2,
-                np.ones(OVAL_SAMPLES),
-            ]
-        )
-        scale = reach / 2
-        change_ = np.zeros(5)
-        for _ in range(8):
-            off = peak - by @ change_
-            robust = np.clip(1 - (off / (3 * scale)) ** 2, 0, None) ** 2 * weight
-            change_ = np.linalg.lstsq(by * np.sqrt(robust)[:, None], peak * np.sqrt(robust), rcond=None)[0]
-            off = peak - by @ change_
-            scale = float(np.clip(ROBUST_SD * np.median(np.abs(off)), 0.1, reach / 2))
+        peak, weight = edges
+        by = _rows(oval)
+        change = _solve(by, peak, weight, reach)
         oval = Oval(
-            oval.middle + change_[:2], oval.angle + change_[2], oval.straight + change_[3], oval.radius + change_[4]
+            oval.middle + change[:2], oval.angle + change[2], oval.straight + change[3], oval.radius + change[4]
         )
         if not (oval.straight > 0 and oval.radius > 5):
             return None
+    off = peak - by @ change
     close = np.abs(off) < max(0.5 / gsd, 1.0)
     if close.mean() < FITTED_OVAL:
         return None
     covariance = np.linalg.pinv(by[close].T @ by[close]) * float((off[close] ** 2).mean())
     length = np.array([0, 0, 0, 2, 2 * np.pi])
     return oval, off[close], float(np.sqrt(length @ covariance @ length)) / oval.length
+
+
+def _edges(light: np.ndarray, oval: Oval, reach: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """How far outward of OVAL_SAMPLES points of `oval` the edge lies (OVAL_SAMPLES,) [px], at most `reach`, and its
+    weight, 0 to 1; None where nothing changes. light : (H, W, 3) float32."""
+    offset = np.arange(-reach - 1, reach + 1.01, 0.5)
+    place, normal, _ = oval.points(OVAL_SAMPLES)
+    seen = values(light, place[:, None] + offset[:, None] * normal[:, None])
+    slope = np.gradient(seen, axis=1)
+    # the mean change of colour along the whole oval: edges count by how much of it they show
+    change = slope.mean(0)
+    middle = np.abs(offset) <= reach
+    colour = change[middle][np.linalg.norm(change[middle], axis=1).argmax()]
+    size = float(np.linalg.norm(colour))
+    if size < 1e-3:
+        return None
+    signed = slope @ (colour / size)
+    signed[:, ~middle] = -1e9
+    at = signed.argmax(1)
+    strength = signed.max(1)
+    peak = offset[at].copy()
+    inner = (at > 0) & (at < len(offset) - 1)
+    rows = np.flatnonzero(inner)
+    left, mid, right = (signed[rows, at[rows] + d] for d in (-1, 0, 1))
+    fine = (left > -1e8) & (right > -1e8)
+    peak[rows[fine]] += 0.5 * peak_shift(left[fine], mid[fine], right[fine])
+    return peak, np.clip(strength / max(float(np.median(strength)), 1e-6), 0, 1)
+
+
+def _rows(oval: Oval) -> np.ndarray:
+    """(OVAL_SAMPLES, 5) by how much the points of `oval` move outward with its middle (two columns), angle, straight
+    and radius."""
+    place, normal, half = oval.points(OVAL_SAMPLES)
+    along = np.array([np.cos(oval.angle), np.sin(oval.angle)])
+    lever = place - oval.middle
+    turned = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
+    return np.column_stack([normal, turned, half * (normal @ along) / 2, np.ones(OVAL_SAMPLES)])
+
+
+def _solve(by: np.ndarray, peak: np.ndarray, weight: np.ndarray, reach: float) -> np.ndarray:
+    """The change (5,) of the oval that solves peak [px] = by @ change by robust least squares (Tukey's weights)."""
+    scale = reach / 2
+    change = np.zeros(5)
+    for _ in range(8):
+        off = peak - by @ change
+        robust = np.clip(1 - (off / (3 * scale)) ** 2, 0, None) ** 2 * weight
+        change = np.linalg.lstsq(by * np.sqrt(robust)[:, None], peak * np.sqrt(robust), rcond=None)[0]
+        off = peak - by @ change
+        scale = float(np.clip(ROBUST_SD * np.median(np.abs(off)), 0.1, reach / 2))
+    return change
 
 
 def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:

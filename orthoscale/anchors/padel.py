@@ -22,7 +22,7 @@ from .court_models import (
     TENNIS_COURT,
     VOLLEYBALL_COURT,
 )
-from .courts import ALONG_SD, EVEN, CourtLook, evidence, overlap
+from .courts import ALONG_SD, EVEN, CourtLook, best_apart, evidence
 from .strokes import values
 
 PADEL_SEARCHED = 0.15  # [m/px] of the search: its lines are no longer than seeds are at 0.3
@@ -69,11 +69,7 @@ class PadelCourts:
         if fits:
             others = (TENNIS_COURT, VOLLEYBALL_COURT, HANDBALL_COURT, *BASKETBALL_COURTS)
             fits += [rival for court in others for rival in look.fits(court) if evidence(rival) > EVEN]
-        kept: list[CourtFit] = []
-        for fit in sorted(fits, key=evidence, reverse=True):
-            if not any(overlap(fit, other.place) or overlap(other, fit.place) for other in kept):
-                kept.append(fit)
-        return [self._anchor(fit) for fit in kept if fit.court is PADEL_COURT]
+        return [self._anchor(fit) for fit in best_apart(fits) if fit.court is PADEL_COURT]
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         # No line gives the scale across the court.

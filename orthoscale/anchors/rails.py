@@ -7,14 +7,14 @@ beside, distinguish them from kerbs and lane lines.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
 from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
-from .combs import ridge_across
+from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, segments, steered
@@ -54,7 +54,6 @@ BLOCK = 3.0  # [m] of track whose cross section is taken at once
 RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # least one sigma of the ridge filter [m] and [px]
 RAIL_WINDOW = 0.1  # of the distance between rails: how far from their places they are searched
 RAIL_CLEAR = 2.5  # [sigmas of the noise] least ridge of the weaker rail in a cross section
-RAIL_MISSING = 2  # most blocks in succession
 FEWEST_RAIL_BLOCKS = 8
 RAIL_FILLED = 0.75  # least share of the blocks tried that show two rails
 RAIL_UNEVEN = 0.02  # of the distance: most that it may scatter over the blocks, one sigma; rails keep it to some mm
@@ -82,12 +81,23 @@ def _standards() -> tuple[Standard, ...]:
 
 
 @dataclass(frozen=True)
+class TrackBlock:
+    """A block of a track. place : (2,) its middle [px]. heading : of the track [rad]. apart, third, ground : one row of
+    `Track`."""
+
+    place: np.ndarray
+    heading: float
+    apart: float
+    third: tuple[float, float]
+    ground: np.ndarray
+
+
+@dataclass(frozen=True)
 class Track:
     """Blocks (B,) of a track. middle : (B, 2) [px]. along : (B, 2) unit vectors. apart : (B,) distance between the
     rails [px]. third : (B, 2) strongest other ridge between the rails and close beside them, and the same out to where
     a second track may begin, as shares of the weaker rail's. ground : (B, 3) grey levels left of, between and right of
-    the rails.
-    tried : number of blocks looked at."""
+    the rails. tried : number of blocks looked at."""
 
     middle: np.ndarray
     along: np.ndarray
@@ -213,39 +223,35 @@ def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, 
     first = _block(light, start, angle, apart, step, gsd)
     if first is None:
         return None
-    parts, tried = [], 1
-    for way in (1.0, -1.0):
-        place, heading, missing, got = first[0], angle, 0, []
-        while missing <= RAIL_MISSING:
-            place = place + way * step * np.array([np.cos(heading), np.sin(heading)])
-            if not (0 <= place[0] < light.shape[1] and 0 <= place[1] < light.shape[0]):
-                break
-            seen = _block(light, place, heading, apart, step, gsd)
-            tried += 1
-            missing = missing + 1 if seen is None else 0
-            if seen is not None:
-                got.append(seen)
-                place = seen[0]
-                back = got[-4][0] if len(got) > 3 else first[0]
-                off = (place - back) * way
-                heading = float(np.arctan2(off[1], off[0])) if len(got) > 1 else heading
-        tried -= missing
-        parts.append(got)
-    rows = [*parts[1][::-1], first, *parts[0]]
-    if len(rows) < FEWEST_RAIL_BLOCKS:
+
+    def further(place: np.ndarray, before: Sequence[TrackBlock], way: float) -> TrackBlock | None:
+        seen = _block(light, place, before[-1].heading, apart, step, gsd)
+        if seen is None or len(before) == 1:
+            return seen
+        chord = (seen.place - three_back(before).place) * way
+        return replace(seen, heading=float(np.arctan2(chord[1], chord[0])))
+
+    blocks, tried = followed(first, step, light.shape, further)
+    if len(blocks) < FEWEST_RAIL_BLOCKS:
         return None
-    middle = np.array([row[0] for row in rows])
+    middle = np.array([block.place for block in blocks])
     along = np.gradient(middle, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    apart_, third = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
-    return Track(middle, along, apart_, third, np.array([row[3] for row in rows]), tried)
+    return Track(
+        middle,
+        along,
+        np.array([block.apart for block in blocks]),
+        np.array([block.third for block in blocks]),
+        np.array([block.ground for block in blocks]),
+        tried,
+    )
 
 
 def _block(
     light: np.ndarray, place: np.ndarray, angle: float, apart: float, length: float, gsd: float
-) -> tuple[np.ndarray, float, tuple[float, float], np.ndarray] | None:
-    """A piece of track about `place`: its middle, the rails' distance [px], the strongest other ridges and the ground,
-    as in `Track`; None where two rails are not seen."""
+) -> TrackBlock | None:
+    """The block of track about `place` [px], `length` [px] long, with rails about `apart` [px] that run at `angle`
+    [rad]; None where two rails are not seen."""
     unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     sd = max(RAIL_SD / gsd, RAIL_SD_PX)
     reach = np.ceil(FARTHEST_BESIDE * apart * 4)
@@ -272,7 +278,7 @@ def _block(
     between, beside = np.abs(offset) < 0.3 * apart, (np.abs(offset) > 0.65 * apart) & (np.abs(offset) < 0.9 * apart)
     ground = np.array([np.median(profile[part]) for part in (beside & (offset < 0), between, beside & (offset > 0))])
     third = float(response[near].max()) / weaker, float(response[away].max()) / weaker
-    return place + (a + b) / 2 * across, b - a, third, ground
+    return TrackBlock(place + (a + b) / 2 * across, angle, b - a, third, ground)
 
 
 def _is_track(track: Track) -> bool:

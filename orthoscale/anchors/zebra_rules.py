@@ -12,7 +12,7 @@ ZEBRA_PAINTED = 0.015  # relative one sigma of a crossing's period about its rul
 ZEBRA_ABOUT = 0.03  # where the rule gives a range or says "about", or where none is known
 
 
-def by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
+def shares_by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
     """The share of each rule among a country's crossings, for every country that `rules` name; they sum to 1."""
     named = dict.fromkeys(country for rule in rules for country in rule.countries)
     own = {country: [rule for rule in rules if country in rule.countries] for country in named}
@@ -26,7 +26,7 @@ def elsewhere(rules: Sequence[Standard]) -> tuple[Standard, ...]:
     """The standards where no rule is known: the periods of `rules`, each as likely as it is among the countries that
     they name, with one vote per country. A period's sigma is that of the rules that have it (rms), at least
     ZEBRA_ABOUT."""
-    countries = by_country(rules)
+    countries = shares_by_country(rules)
     found = []
     for metres in sorted({rule.metres for rule in rules}):
         of_it = [
@@ -131,7 +131,7 @@ has stripes of 500 to 715 mm; resolution 1885 of 2015 (Colombia, sojuridica.com)
 100; CONTRAN's manual, volume IV, marking FTP-1 (Brazil) stripes of 30 to 40 cm, gaps of 30 to 80. Nothing is searched
 there."""
 
-ZEBRA_LEFT_FREE = len(ZEBRA_FREE) / len({*ZEBRA_FREE, *by_country(ZEBRA_RULES)})
+ZEBRA_LEFT_FREE = len(ZEBRA_FREE) / len({*ZEBRA_FREE, *shares_by_country(ZEBRA_RULES)})
 """Share of the countries above whose rule leaves the period free: as probable is that where no rule is known."""
 
 ZEBRA_STANDARDS = (*ZEBRA_RULES, *elsewhere(ZEBRA_RULES))

@@ -131,7 +131,7 @@ def evaluate(
         depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
-        found = boxes.boxes_of(photos, how, progress)
+        found = boxes.boxes_of(photos, how, ruler, progress)
         notes += found.notes
         if saved is not None:  # saved at once, as they are most worth inspecting if they are too few
             boxes.save_boxes(found, saved, photos)

@@ -127,7 +127,8 @@ def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
 
 
 def load(path: Path | None = None) -> dict[str, Facility]:
-    """The built-in facilities by code, and those of the file at `path` (same format), which replace built-in ones."""
+    """The built-in facilities by code in lower case, and those of the file at `path` (same format), which replace
+    built-in ones. Raises InputError."""
     built_in = _table()["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
@@ -135,11 +136,11 @@ def load(path: Path | None = None) -> dict[str, Facility]:
 
     own = read_plain(path, "a catalogue", CATALOGUE_HINT)
     checked(own, Catalogue, str(path), "a catalogue", CATALOGUE_HINT)
-    entries = {**built_in, **own["facilities"]}
+    entries = built_in | {code.lower(): entry for code, entry in own["facilities"].items()}
     facilities = {}
     for code, entry in entries.items():
         try:
-            facilities[code.lower()] = _facility(code.lower(), entry, entries)
+            facilities[code] = _facility(code, entry, entries)
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(
                 f"{path}: not a catalogue (facilities.{shown(code)}: {reason(error)})", CATALOGUE_HINT
@@ -191,15 +192,16 @@ def _table() -> dict[str, Any]:
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
-    """The facility of an entry that fits `schemas.standards.FacilityEntry`. Raises ValueError for lines or an infield
-    that make no sense."""
+    """The facility of an entry that fits `schemas.standards.FacilityEntry`. entries : all by code in lower case. Raises
+    ValueError for lines or an infield that make no sense."""
     sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
     both = [_points(line) for line in entry.get("both_ends", [])]
     lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]
     if infield := entry.get("infield"):
-        if infield not in entries or entries[infield].get("infield"):
+        inner = infield.lower()
+        if inner not in entries or entries[inner].get("infield"):
             raise ValueError(f"its infield {infield!r} is none that is known, or has one itself")
-        lines += _facility(infield, entries[infield], entries).lines
+        lines += _facility(inner, entries[inner], entries).lines
     red, green, blue = (int(v) for v in entry.get("colour", (160, 160, 160)))
     return Facility(
         code=code,

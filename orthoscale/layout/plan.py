@@ -71,7 +71,8 @@ def plan(
     placed, missing = arrange(area, wanted, fixed, clearance, blocked)
     low = high = None
     if ground.interval is not None:
-        # With a scale at the low end the lot is smaller on the ground, so facilities are larger in the picture.
+        # With a scale at the low end the lot is smaller on the ground, so facilities are larger in the picture. At the
+        # high end they are smaller, so what fits at the low end fits there, too.
         low, high = (holds(_buildable(area, blocked), placed, 1 / bound) for bound in ground.interval)
     return Layout(ground, area, blocked, placed, missing, low, high, (*ground.notes, *notes))
 

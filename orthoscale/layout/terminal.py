@@ -7,6 +7,7 @@ from typing import Any
 
 from ..core.scale import with_interval
 from .catalogue import load
+from .place import TOLERANCE
 from .plan import Layout
 
 
@@ -22,7 +23,7 @@ def summary(layout: Layout, out: Path | None) -> str:
     for k, place in enumerate(layout.placed):
         f = place.facility
         line = f"  {k + 1:2d}  {f.name}, {f.length:g} x {f.width:g} m, {_direction(place.bearing)}"
-        if f.north_south and place.from_north > 20:
+        if f.north_south and place.from_north > TOLERANCE:
             line += f", {place.from_north:.0f} degrees off north-south"
         if ground.interval is not None:
             low, high = (bound * f.length for bound in ground.interval)

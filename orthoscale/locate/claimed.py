@@ -13,7 +13,7 @@ from ..core.pooling.posterior import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.looking import Looking, boxes_of
-from ..photos.measure import Measure, Photo, PhotoScale, measure, open_photo
+from ..photos.measure import Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from ..sources.lens import lens_of
 from ..sources.tags import read_tags
 from .level import LevelledPhoto
@@ -87,14 +87,12 @@ def claimed_scales(
     for name, path in paths.items():
         try:
             if gsd is None:
-                photos.append(open_photo(path, name, **lens))
-                photos[-1].picture.read(0, 0, 1, 1, 1, 1)  # lest a damaged photo ends the search for all
+                photos.append(open_sound_photo(path, name, **lens))
             else:
                 found[name] = told_scale(path, name, gsd, **lens)
         except InputError as error:
             if len(paths) == 1:
                 raise
-            photos = [photo for photo in photos if photo.name != name]
             found[name] = error
     return found | (_by_vehicles(photos, how, progress) if photos else {})
 
@@ -105,7 +103,7 @@ def _by_vehicles(
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     hint = "Give the metres per pixel of the photo (--gsd), if known."
     try:
-        boxes = boxes_of(photos, how, progress)
+        boxes = boxes_of(photos, how, fleet, progress)
     except TooLittleEvidence as error:
         return {photo.name: TooLittleEvidence(f"no scale: {error.message}", hint) for photo in photos}
     found: dict[str, ClaimedScale | OrthoscaleError] = {}

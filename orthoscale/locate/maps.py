@@ -35,11 +35,12 @@ class MapGrid:
     pixel: np.ndarray
 
     @classmethod
-    def of(cls, satellite: Satellite, coarsest: float) -> MapGrid:
-        """The grid with the finest gsd of a fixed series that is not finer than `coarsest` [m/px], nor than the map."""
+    def of(cls, satellite: Satellite, finest: float) -> MapGrid:
+        """The grid whose gsd is the smallest of a fixed series that is not finer than `finest` [m/px], nor than the
+        map."""
         pixel = satellite.pixel_size(np.array([satellite.source.width, satellite.source.height]) / 2)
         own = float(np.sqrt(pixel.prod()))
-        steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(GRID_STEP) - 1e-9)))
+        steps = max(0, int(np.ceil(np.log(finest / own) / np.log(GRID_STEP) - 1e-9)))
         return cls(satellite, own * GRID_STEP**steps, pixel)
 
     @property
@@ -149,9 +150,9 @@ class MapFeatures:
             return np.zeros((len(self.usual.basis), height, width), np.float32)
         return self.usual.of_features(first)
 
-    def finer(self, coarsest: float) -> MapFeatures:
-        """Features of the same map on the grid for `coarsest` [m/px], with the `usual` of this one."""
-        grid = MapGrid.of(self.grid.satellite, coarsest)
+    def finer(self, finest: float) -> MapFeatures:
+        """Features of the same map on the grid not finer than `finest` [m/px], with the `usual` of this one."""
+        grid = MapGrid.of(self.grid.satellite, finest)
         fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
         fine.usual = self.usual
         return fine

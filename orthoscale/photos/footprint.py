@@ -38,7 +38,7 @@ def footprint_of(
         return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
     ruler, why = how.ruler_fleet([path])
     photo = open_photo(path, **lens)
-    found = boxes_of([photo], how, progress)
+    found = boxes_of([photo], how, ruler, progress)
     try:
         got = measure([photo], found, ruler)
     except TooLittleEvidence as error:

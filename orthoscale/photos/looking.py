@@ -66,8 +66,8 @@ class Album:
         return {photo.name: (photo.picture.width, photo.picture.height) for photo in self.photos}
 
 
-def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:
-    """The boxes of `photos`, from a file or by the detector.
+def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Progress | None = None) -> Detections:
+    """The boxes of `photos`, from a file or by the detector, which looks for vehicles as long as those of `fleet`.
 
     All photos share one zoom, as those of one flight do: measure flights at different heights in one run each. Notes on
     the boxes are in their `notes`.
@@ -80,13 +80,13 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
         found = load(Path(how.detections), album, how.vehicle_classes)
         found = replace(found, notes=(*found.notes, *(note.text for note in album.notes)))
     else:
-        found = _detected(photos, how, progress)
+        found = _detected(photos, how, fleet, progress)
     if how.calibration is not None:
         found = load_calibration(path := Path(how.calibration)).applied(found, path)
     return found
 
 
-def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) -> Detections:
+def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Progress | None) -> Detections:
     from ..detect.detector import Detector, Passes
     from ..detect.find import Effort, find_vehicles
     from ..detect.measurer import Measurer
@@ -96,7 +96,7 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     path = None if how.detector is None else Path(how.detector)
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
-    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet([p.path for p in photos])[0].mean[0]))
+    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
     except (TooLittleEvidence, EvidenceDisagrees) as error:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -155,6 +156,14 @@ def open_photo(
         angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
     up = up_from_gimbal(*np.radians(angles))
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
+
+
+def open_sound_photo(path: Path, name: str | None = None, **told: Any) -> Photo:
+    """`open_photo`, which also reads some pixels, lest one damaged photo among many ends the search for vehicles.
+    Raises InputError for a damaged one, too."""
+    photo = open_photo(path, name, **told)
+    photo.picture.read(0, 0, 1, 1, 1, 1)
+    return photo
 
 
 def _roll_beside_told_pitch(tags: Tags) -> float:

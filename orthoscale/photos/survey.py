@@ -20,7 +20,7 @@ from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
 from .looking import Looking, boxes_of
-from .measure import Measure, Photo, PhotoScale, measure, open_photo
+from .measure import Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def surveyed(
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
-    found = boxes_of(photos, how, progress)
+    found = boxes_of(photos, how, fleet, progress)
     if on_boxes is not None:
         on_boxes(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
@@ -131,15 +131,13 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
     """The photos that can be used (see `open_photo` for `told`), and why the others cannot. Raises InputError if none
     can.
 
-    decode : read some pixels of each as well, lest one damaged photo among many ends the search for vehicles.
+    decode : leave out damaged ones too; see `open_sound_photo`.
     """
     photos, problems = [], {}
+    opened = open_sound_photo if decode else open_photo
     for name, path in paths.items():
         try:
-            photo = open_photo(path, name, **told)
-            if decode:
-                photo.picture.read(0, 0, 1, 1, 1, 1)
-            photos.append(photo)
+            photos.append(opened(path, name, **told))
         except InputError as error:
             if len(paths) == 1:
                 raise
