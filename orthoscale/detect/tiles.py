@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -56,15 +56,21 @@ def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLA
 
 
 def check_number(
-    pictures: Iterable[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
+    pictures: Sequence[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
 ) -> None:
-    """Raise InputError if the `tiles` of one of the `pictures`, held `lists` times, would exceed the memory budget."""
-    for picture in pictures:
-        sides = (_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
-        require(
-            lists * math.prod(sides) * TILE_SIZE,
-            f"{picture.name}, {picture.width} x {picture.height} px, at zoom {zoom:.2g}",
-        )
+    """Raise InputError if the `tiles` of all `pictures` together, held `lists` times, would exceed the memory
+    budget."""
+    if not pictures:
+        return
+    counts = [
+        math.prod(_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
+        for picture in pictures
+    ]
+    largest = pictures[counts.index(max(counts))]
+    what = f"{largest.name}, {largest.width} x {largest.height} px"
+    if len(pictures) > 1:
+        what = f"a set of {len(pictures):,} pictures, the largest of which is {what}"
+    require(lists * sum(counts) * TILE_SIZE, f"{what}, at zoom {zoom:.2g}")
 
 
 def _spans(size: int, zoom: float, tile: int, overlap: int) -> Iterator[tuple[int, int]]:
