@@ -19,8 +19,8 @@ from ..core.boxes import Boxes
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..formats.names import in_utf8
-from .detector import OVERLAP, Detector
-from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
+from .detector import CUT, OVERLAP, Detector
+from .tiles import CONFIRMING_ZOOM, TILE, Looks
 
 BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLite's message may quote its bytes
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
@@ -58,7 +58,7 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
         "detector": [[each.sha256, repr(each.card), repr(each.layout)] for each in detectors],
         "zoom": [zoom, CONFIRMING_ZOOM],
         "passes": detector.passes,
-        "tiles": [TILE, OVERLAP, TILE_BORDER],
+        "tiles": [TILE, OVERLAP, CUT],
     }
     return content_key(pictures, settings)
 

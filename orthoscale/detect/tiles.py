@@ -16,11 +16,10 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
 from ..system.threads import Threads
-from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
+from .detector import CUT, CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
 from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
-TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 TILE_SIZE = 600  # [byte] of memory that a tile takes while it waits for its turn
 # The coarser of the two passes is half an octave coarser: half the pixels, and mistakes look different.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
@@ -168,7 +167,7 @@ class _Pass:
         right, bottom = (-(-(centre.max(0) + PART_BORDER) // PART_GRID) * PART_GRID).astype(int).tolist()
         part = self.image[y:bottom, x:right]
         return {
-            kind: boxes[boxes.inside(part.shape[1], part.shape[0], TILE_BORDER)].mapped(1, (x, y))
+            kind: boxes[boxes.inside(part.shape[1], part.shape[0], CUT)].mapped(1, (x, y))
             for kind, boxes in self._seen(part).items()
         }
 
@@ -181,7 +180,7 @@ def read(picture: Picture, tile: Tile) -> np.ndarray:
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
-def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
+def place(boxes: Boxes, tile: Tile, border: float = CUT) -> Boxes:
     """`boxes` of a tile [px of the input] in pixels of its picture. Those nearer than `border` [px of the input] to the
     tile's edge are left out: they may be cut, and a neighbouring tile shows them whole."""
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
