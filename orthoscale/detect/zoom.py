@@ -180,8 +180,8 @@ class _Level:
     """What was seen at one zoom so far.
 
     filled : where each picture shows anything. parts : boxes of usable length by picture number [px of the picture].
-    done : (picture number, x, y) of the windows that were taken. next_place : its number. complete : whether
-    the pictures were seen as a whole.
+    done : (picture number, x, y) of the windows that were taken. next_place : number of the next place to look at.
+    complete : whether the pictures were seen as a whole.
     """
 
     zoom: float
