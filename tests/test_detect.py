@@ -14,10 +14,11 @@ from orthoscale.actions.boxes import detector_of
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector, Passes
-from orthoscale.detect.tiles import look_twice, place, read, sweep, tiles
+from orthoscale.detect.tiles import TILE_SIZE, check_number, look_twice, place, read, sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 from orthoscale.requests import EstimateRequest
+from orthoscale.system import budget
 
 
 @pytest.mark.parametrize(
@@ -38,6 +39,21 @@ def test_tiles_cover_everything_and_overlap_enough(size, zoom):
     for spans in (columns, rows):
         for (_, end), (start, _) in zip(spans, spans[1:], strict=False):
             assert end - start >= reach
+
+
+def test_the_tiles_of_all_pictures_together_fit_the_memory_budget(monkeypatch):
+    """Frames of which each has few tiles may have too many together."""
+    frames = [SimpleNamespace(name=f"{k}.jpg", width=3000, height=2100) for k in range(20)]
+    each = len(tiles(frames[0], 1.0))
+    monkeypatch.setattr(budget, "_budget", 19 * each * TILE_SIZE)
+    check_number(frames[:19], 1.0)
+    check_number([], 1.0)
+    with pytest.raises(
+        InputError, match=r"^a set of 20 pictures, the largest of which is 0\.jpg, 3000 x 2100 px, at zoom 1 needs"
+    ):
+        check_number(frames, 1.0)
+    with pytest.raises(InputError, match=r"^0\.jpg, 3000 x 2100 px, at zoom 1 needs"):
+        check_number(frames[:1], 1.0, lists=20)
 
 
 def test_a_sweep_finds_every_vehicle_once_where_it_is():

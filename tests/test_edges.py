@@ -8,8 +8,8 @@ import pytest
 from shapely import Polygon
 
 from orthoscale.core.boxes import Boxes, matched, suppress
-from orthoscale.detect.detector import Detector
-from orthoscale.detect.tiles import TILE_BORDER, sweep, tiles
+from orthoscale.detect.detector import CUT, Detector
+from orthoscale.detect.tiles import sweep, tiles
 
 TOWN = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
 
@@ -68,7 +68,7 @@ def test_boxes_that_keep_from_the_edge_are_whole(town, detector):
         x, y = (int(rng.integers(0, town.shape[axis] - side)) for axis in (1, 0))
         found = suppress(detector(np.ascontiguousarray(town[y : y + side, x : x + side])))
         i, j, _ = matched(whole.mapped(1.0, (-x, -y)), found, 0.15)
-        kept = found.inside(side, side, TILE_BORDER)[j]
+        kept = found.inside(side, side, CUT)[j]
         cut += int((~whole.mapped(1.0, (-x, -y)).inside(side, side)[i]).sum())
         kept_shares.append(found.length[j][kept] / whole.length[i][kept])
     shares = np.concatenate(kept_shares)
@@ -87,13 +87,13 @@ def test_tiles_see_what_the_whole_picture_shows(town, detector):
             return np.ascontiguousarray(town[y : y + height, x : x + width])
 
     whole = suppress(detector(town))
-    whole = whole[whole.inside(Town.width, Town.height, TILE_BORDER)]
+    whole = whole[whole.inside(Town.width, Town.height, CUT)]
     seams = tiles(Town(), 1.0, tile=400, overlap=128)
     assert len(seams) >= 9
     parts = []
     for tile in seams:
         found = detector(Town().read(tile.x, tile.y, tile.width, tile.height, 0, 0))
-        parts.append(found[found.inside(tile.width, tile.height, TILE_BORDER)].mapped(1.0, (tile.x, tile.y)))
+        parts.append(found[found.inside(tile.width, tile.height, CUT)].mapped(1.0, (tile.x, tile.y)))
     seen = suppress(Boxes.concatenate(parts))
     i, j, _ = matched(whole, seen, 0.5)
     assert len(i) >= 0.95 * len(whole) and len(seen) <= 1.05 * len(whole)

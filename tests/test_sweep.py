@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import pytest
 from support.drawings import RENDERED_VEHICLES, Drawing, RectangleDetector, car_park, rendered_vehicles
+from test_architecture import imports
 
 import orthoscale
 from orthoscale.actions.estimate import estimate
 from orthoscale.anchors.search import CODE_OF_FINDERS
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
-from orthoscale.detect.cache import CODE, TileCache, cache_key
+from orthoscale.detect.cache import CODE, TileCache, cache_key, code_hash
 from orthoscale.detect.coarse_pass import UNPROMISING, coarse_pass
 from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.order import visiting_order
@@ -422,6 +423,54 @@ def test_a_cache_of_another_user_is_read_and_stops_nothing(tmp_path, picture_fil
 def test_the_files_that_decide_over_what_is_kept_are_there(code):
     package = Path(orthoscale.__file__).parent
     assert not [pattern for pattern in code if not list(package.glob(pattern))]
+
+
+def test_all_of_detect_that_tiles_and_measurer_use_is_part_of_the_key_and_nothing_else():
+    """Of what is seen in a tile, and measured of a vehicle; what follows from these is computed each time."""
+    used, new = set(), {"detect.tiles", "detect.measurer"}
+    while new:
+        used |= new
+        new = {each for name in new for each in imports(name) if each.startswith("detect.")} - used
+    assert {pattern for pattern in CODE if pattern.startswith("detect/")} == {
+        f"{name.replace('.', '/')}.py" for name in used
+    }
+
+
+SOURCE = '''"""What it is about."""
+
+LIMIT = 0.5  # m
+
+
+def near(x: float, names={"a", "b", "c"}) -> bool:
+    """Whether `x` [m] is near."""
+    return x < LIMIT and str(x) not in {"1.0", "2.0", "3.0"}
+'''
+
+
+def test_comments_do_not_change_the_key_and_constants_do(tmp_path):
+    def hashed(*replaced):
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        (folder / "code.py").write_text(SOURCE.replace(*replaced))
+        return code_hash(("*.py",), folder)
+
+    same = hashed("", "", 0)
+    assert hashed("# m", "# metres\n\n# and a line") == same
+    assert hashed("Whether", "Says\n\n    at length whether") == hashed("What it is about.", "Something.") == same
+    others = [("0.5", "0.6"), ("x <", "x <="), ('"a"', '"d"'), ('"2.0"', '"4.0"'), ("x: float", "y: float")]
+    found = {hashed(*replaced) for replaced in others}
+    assert len(found) == len(others) and same not in found
+
+
+@pytest.mark.slow
+def test_the_hash_of_code_is_the_same_in_every_process():
+    """Whose sets of strings have another order."""
+    asked = "from orthoscale.detect.cache import CODE, code_hash; print(code_hash(CODE))"
+    for seed in ("1", "2"):
+        said = subprocess.run(
+            [sys.executable, "-c", asked], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, check=True
+        )
+        assert said.stdout.decode().strip() == code_hash(CODE)
 
 
 def test_code_of_every_kind_of_picture_is_part_of_the_key():

@@ -40,9 +40,9 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
-from orthoscale.detect.detector import Passes
+from orthoscale.detect.detector import CUT, Passes
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import TILE_BORDER, look_twice, sweep, tiles
+from orthoscale.detect.tiles import look_twice, sweep, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -330,7 +330,7 @@ def evaluate(
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.
         labels = Boxes(p.vehicles, np.ones(len(p.vehicles)))
-        whole = labels.inside(p.picture.width, p.picture.height, TILE_BORDER / zoom)
+        whole = labels.inside(p.picture.width, p.picture.height, CUT / zoom)
         ignored = np.concatenate([p.ignored, labels.xylwa[~whole]])
         comparisons.append(compare(found[p.picture.name], labels.xylwa[whole], ignored))
     return summarise(scene, comparisons, zoom, score), comparisons

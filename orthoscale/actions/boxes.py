@@ -24,7 +24,7 @@ from ..detect.detector import Detector, Passes
 from ..detect.find import Effort
 from ..detect.refine import refined
 from ..detect.workers import worker_count
-from ..detect.zoom import told_zoom
+from ..detect.zoom import user_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.detections import load as load_detections
 from ..requests import EstimateRequest
@@ -62,7 +62,7 @@ def _looked_for(
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees; both name the input."""
     effort, network = effort_of(request), detector_of(source, request)
-    zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
+    zoom = user_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
         found, choice = find_in(source, request.wanted_mode, search)

@@ -107,10 +107,12 @@ class Boxes:
 
     def inside(self, width: float, height: float, border: float = 0.0) -> np.ndarray:
         """(N,) bool: all four corners at least `border` px inside an image of `width` x `height` px."""
-        c = self.corners
-        low = (c >= border).all((1, 2))
-        high = (c <= (width - border, height - border)).all((1, 2))
-        return np.logical_and(low, high)
+        return self.between((border, border), (width - border, height - border))
+
+    def between(self, low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray) -> np.ndarray:
+        """(N,) bool: all four corners between the points `low` (2,), upper left, and `high` (2,), lower right [px]."""
+        corners = self.corners
+        return np.logical_and((corners >= low).all((1, 2)), (corners <= high).all((1, 2)))
 
     def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
         """The first box that is impossible in an image of `width` x `height` px: its index and what is wrong with it;

@@ -36,8 +36,8 @@ LONGEST_CARD = 100_000  # characters
 IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of input images
 # Boxes of one kind in one image, before non-maximum suppression; real pictures have some hundreds.
 MOST_BOXES = 10_000
-CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
-CUT_OBJECT = 8.0  # the same for standard objects: they are larger, and so are the errors of their boxes [px]
+CUT = 2.0  # boxes closer than this to the edge of a tile or window may be cut by it [px of the input]
+CUT_OBJECT = 8.0  # the same for standard objects: they are larger, and so are the errors of their boxes
 
 
 class Passes(StrEnum):
@@ -193,15 +193,13 @@ class Detector:
         for y in _starts(height, self.layout.size[0]):
             for x in _starts(width, self.layout.size[1]):
                 window = image[y : y + self.layout.size[0], x : x + self.layout.size[1]]
-                end = np.array([x + window.shape[1], y + window.shape[0]])
+                start, end = np.array([x, y]), np.array([x + window.shape[1], y + window.shape[0]])
                 for kind, boxes in self._run(window, threshold).items():
                     found = boxes.mapped(1, (x, y))
                     cut = CUT if kind == VEHICLES else CUT_OBJECT
-                    low = np.where(np.array([x, y]) > 0, np.array([x, y]) + cut, -np.inf)
+                    low = np.where(start > 0, start + cut, -np.inf)
                     high = np.where(end < (width, height), end - cut, np.inf)
-                    corners = found.corners
-                    whole = np.logical_and(corners >= low, corners <= high).all(axis=(1, 2))
-                    parts[kind].append(found[np.flatnonzero(whole)])
+                    parts[kind].append(found[found.between(low, high)])
         return {kind: Boxes.concatenate(some) for kind, some in parts.items()}
 
     def _run(self, image: np.ndarray, threshold: float) -> dict[str, Boxes]:

@@ -80,83 +80,97 @@ def find_vehicles(
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
     effort = effort or Effort()
-    count = worker_count(effort.workers)
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
         some = pictures if cover is None else [pictures[k] for k in cover.first(ZOOM_FRAMES)]
         choice = find_zoom(some, detector, progress, effort)
         zoom = choice.zoom
-    detections = partial(_detections, detector=detector, zoom=zoom)
     check_number(pictures, zoom)
-    each = [tiles(picture, zoom) for picture in pictures]
-    anytime = sampling is not None and not effort.exhaustive
-    if anytime:
-        each = [
-            [tile for tile in some if filled(picture).share(tile)] for picture, some in zip(pictures, each, strict=True)
-        ]
-    jobs = [(picture, tile) for picture, some in zip(pictures, each, strict=True) for tile in some]
-    order: Sequence[int | np.ndarray] | np.ndarray = np.arange(len(jobs))
-    if anytime and cover is not None:
-        of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])
-        order = [of_picture[k] for k in cover.order]
-    elif anytime:
-        order = _promising_first(
-            jobs, detector, count, effort.seed, None if progress is None else partial(progress, "Coarse pass")
-        )
-    stop = None
-    if anytime and sampling is not None:
-        stop = Stop(lambda found: sampling(detections(found)), effort.target, None if cover is None else cover.enough)
-    with ExitStack() as open_things:
-        key = cache_key(pictures, detector, zoom) if effort.cache else None
-        cache = open_things.enter_context(TileCache(key)) if key else None
-        visit = open_things.enter_context(visitor(detector, count, effort.scheduler))
-        found = sweep_twice(
-            jobs,
-            order,
-            visit,
-            cache=cache,
-            stop=stop,
-            progress=None if progress is None else partial(progress, "Finding vehicles"),
-            sure=detector.sure,
-            passes=detector.passes,
-        )
-    kept = _without(detections(found), WHY_EQUAL, _equal_things)
+    sweep = _Sweep(pictures, detector, zoom, effort, progress)
+    found = sweep.whole() if sampling is None or effort.exhaustive else sweep.until_enough(sampling, cover)
+    found = _without(found, WHY_EQUAL, _equal_things)
     if len(pictures) == 1:
         # Not for frames: their distances vary, so vehicles have several lengths, and distant ones are seldom confirmed.
-        kept = _without(kept, WHY_SELDOM, seldom_confirmed)
-    return kept, choice
+        found = _without(found, WHY_SELDOM, seldom_confirmed)
+    return found, choice
 
 
-def _detections(found: Found, detector: Detector, zoom: float) -> Detections:
-    card = detector.card
-    return Detections(
-        found.boxes,
-        zoom,
-        card.ruler,
-        card.effective_height,
-        detector.name,
-        detector.sha256,
-        doubtful=found.doubtful,
-        objects=found.objects,
-        swept=found.swept,
-        body=card.body,
-        undercut=card.undercut,
-    )
+@dataclass(frozen=True)
+class _Sweep:
+    """What is swept, and how. zoom : detector pixels per picture pixel."""
+
+    pictures: Sequence[Picture]
+    detector: Detector
+    zoom: float
+    effort: Effort
+    progress: Progress | None
+
+    def whole(self) -> Detections:
+        """What all tiles show."""
+        jobs = [(picture, tile) for picture in self.pictures for tile in tiles(picture, self.zoom)]
+        return self._detections(self._swept(jobs, np.arange(len(jobs)), None))
+
+    def until_enough(self, sampling: Callable[[Detections], float], cover: Cover | None) -> Detections:
+        """What the tiles show that are not empty, until they are enough; `sampling` and `cover` as in
+        `find_vehicles`."""
+        each = [
+            [(picture, tile) for tile in tiles(picture, self.zoom) if filled(picture).share(tile)]
+            for picture in self.pictures
+        ]
+        jobs = [job for some in each for job in some]
+        order: Sequence[np.ndarray] | np.ndarray
+        if cover is None:
+            order = self._promising_first(jobs)
+        else:
+            of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])
+            order = [of_picture[k] for k in cover.order]
+        enough = None if cover is None else cover.enough
+        stop = Stop(lambda found: sampling(self._detections(found)), self.effort.target, enough)
+        return self._detections(self._swept(jobs, order, stop))
+
+    def _promising_first(self, jobs: Sequence[tuple[Picture, Tile]]) -> np.ndarray:
+        """Numbers of an orthophoto's tiles, evenly spread wherever the sweep stops; those that the coarse pass finds
+        promising tend to come sooner."""
+        places = [tile for _, tile in jobs]
+        evenly = visiting_order(places, np.ones(len(jobs)), self.effort.seed)
+        workers, progress = worker_count(self.effort.workers), _step(self.progress, "Coarse pass")
+        promising = coarse_pass(jobs, evenly, self.detector, workers, progress)
+        return visiting_order(places, promising, self.effort.seed)
+
+    def _swept(
+        self, jobs: Sequence[tuple[Picture, Tile]], order: Sequence[np.ndarray] | np.ndarray, stop: Stop | None
+    ) -> Found:
+        """`sweep_twice`, with the cache and the workers of the effort."""
+        detector, effort = self.detector, self.effort
+        with ExitStack() as open_things:
+            key = cache_key(self.pictures, detector, self.zoom) if effort.cache else None
+            cache = open_things.enter_context(TileCache(key)) if key else None
+            visit = open_things.enter_context(visitor(detector, worker_count(effort.workers), effort.scheduler))
+            progress = _step(self.progress, "Finding vehicles")
+            return sweep_twice(jobs, order, visit, cache, stop, progress, detector.sure, detector.passes)
+
+    def _detections(self, found: Found) -> Detections:
+        """`found` with the detector's ruler."""
+        card = self.detector.card
+        return Detections(
+            found.boxes,
+            self.zoom,
+            card.ruler,
+            card.effective_height,
+            self.detector.name,
+            self.detector.sha256,
+            doubtful=found.doubtful,
+            objects=found.objects,
+            swept=found.swept,
+            body=card.body,
+            undercut=card.undercut,
+        )
 
 
-def _promising_first(
-    jobs: Sequence[tuple[Picture, Tile]],
-    detector: Detector,
-    count: int,
-    seed: int,
-    progress: Callable[[int, int], None] | None,
-) -> np.ndarray:
-    """Numbers of an orthophoto's tiles, evenly spread wherever the sweep stops; those that the coarse pass finds
-    promising tend to come sooner."""
-    places = [tile for _, tile in jobs]
-    evenly = visiting_order(places, np.ones(len(jobs)), seed)
-    return visiting_order(places, coarse_pass(jobs, evenly, detector, count, progress), seed)
+def _step(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
+    """`progress` of the step that is called `what`: it is told how many of how many are done."""
+    return None if progress is None else partial(progress, what)
 
 
 def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:
@@ -187,7 +201,7 @@ def find_zoom(
     """The zoom for the sweep. Raises TooLittleEvidence if none shows vehicles, EvidenceDisagrees if two are about
     equally likely."""
     effort = effort or Effort()
-    step = None if progress is None else partial(progress, "Scale search")
+    step = _step(progress, "Scale search")
     workers = worker_count(effort.workers)
     choice = search_zoom(pictures, detector, detector.card, step, effort.seed, workers)
     choice = settled(choice, pictures, detector, step, effort.seed, workers)

@@ -52,6 +52,23 @@ class _Change:
     scatter: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """What the measurer saw in some of the detected boxes.
+
+    index, proposed, told : by picture name, the numbers of these boxes (K,) among the detected ones, the boxes
+    themselves, and what it measured there. enlarged : factor that the pictures had been enlarged by. soft : `softness`
+    of the pictures. too_large : (2,) log factor of length and width that was taken off dark vehicles.
+    """
+
+    index: dict[str, np.ndarray]
+    proposed: dict[str, Boxes]
+    told: dict[str, Measured]
+    enlarged: Fraction
+    soft: float
+    too_large: np.ndarray
+
+
 def remeasured(
     pictures: Sequence[Picture],
     found: Detections,
@@ -65,64 +82,76 @@ def remeasured(
     Boxes that it takes for no vehicle are set aside. Each box has a sigma of its own; those that were measured have
     kinds. effort : only its workers and cache are used. most : boxes that are measured, at most.
     """
-    effort = effort or Effort()
     by_name = {picture.name: picture for picture in pictures}
-    chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name}, most)
-    if not chosen and len(found):
+    index = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name}, most)
+    if not index and len(found):
         return found  # no picture of the detected vehicles is available
-    proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
-    windows = windows_about(by_name, proposed)
+    return _merged(found, _measured(by_name, found, index, measurer, effort or Effort(), progress), measurer)
+
+
+def _measured(
+    pictures: Mapping[str, Picture],
+    found: Detections,
+    index: dict[str, np.ndarray],
+    measurer: Measurer,
+    effort: Effort,
+    progress: Progress | None,
+) -> _Seen:
+    """What `measurer` sees in the boxes of `found` with the numbers `index`, unsure edges moved out and shadows taken
+    off."""
+    proposed = {name: found.boxes[name][numbers] for name, numbers in index.items()}
+    windows = windows_about(pictures, proposed)
     enlarged, contrast = enlargement(windows), shadow_contrast(windows)
     look = partial(measurer, enlarged=enlarged, contrast=contrast)
     settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "contrast": contrast}
-    key = content_key([by_name[name] for name in chosen], settings) if effort.cache else None
+    key = content_key([pictures[name] for name in index], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
-        told = _looked_at(by_name, proposed, look, worker_count(effort.workers), kept, progress)
-    card, pixel = measurer.card, float(enlarged)
-    told, soft = _moved_out(told, card, pixel)
-    told, too_large = _without_shadows(told)
-    change = _change(
-        Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
-    )
-    vehicle = {name: _is_vehicle(told[name], boxes) for name, boxes in proposed.items()}
+        raw = _looked_at(pictures, proposed, look, worker_count(effort.workers), kept, progress)
+    outlined, soft = _moved_out(raw, measurer.card, float(enlarged))
+    told, too_large = _without_shadows(outlined)
+    return _Seen(index, proposed, told, enlarged, soft, too_large)
+
+
+def _merged(found: Detections, seen: _Seen, measurer: Measurer) -> Detections:
+    """`found` with the measured boxes where there are any, all others corrected as these changed, and the measurer's
+    ruler."""
+    card, change = measurer.card, _change(seen)
     boxes, aside = {}, {}
     for name, before in found.boxes.items():
-        if name not in chosen:
+        if name not in seen.index:
             boxes[name] = distinct(_corrected(before, change))
             continue
-        rest = np.setdiff1d(np.arange(len(before)), chosen[name])
-        measured = _of(told[name], measurer)[vehicle[name]]
+        vehicle = _is_vehicle(seen.told[name], seen.proposed[name])
+        rest = np.setdiff1d(np.arange(len(before)), seen.index[name])
+        measured = _of(seen.told[name], measurer)[vehicle]
         boxes[name] = distinct(Boxes.concatenate([_corrected(before[rest], change), measured]))
-        if not vehicle[name].all():
-            aside[name] = proposed[name][~vehicle[name]]
-    no_vehicles = sum(map(len, aside.values()))
+        if not vehicle.all():
+            aside[name] = seen.proposed[name][~vehicle]
     return replace(
         found.setting_aside(WHY_NONE, aside),
         boxes=boxes,
-        ruler=_in_detector_pixels(less_sure(card.ruler, enlarged, soft), found.zoom * pixel),
+        ruler=_in_detector_pixels(less_sure(card.ruler, seen.enlarged, seen.soft), found.zoom * float(seen.enlarged)),
         effective_height=card.effective_height,
         undercut=card.undercut,
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
         detector_sha256=measurer.sha256,
-        notes=(*found.notes, *_notes(no_vehicles, too_large, enlarged, soft)),
+        notes=(*found.notes, *_notes(seen, sum(map(len, aside.values())))),
     )
 
 
-def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction, soft: float) -> Iterator[str]:
-    """What measuring changed, for the report. no_vehicles : number of boxes that no longer count. too_large : (2,) log
-    factor that was taken off dark vehicles. enlarged : factor that the pictures had been enlarged by. soft : `softness`
-    of the pictures."""
+def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
+    """What measuring changed, for the report. no_vehicles : number of boxes that no longer count."""
     if no_vehicles:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
-    if too_large.any():
-        length, width = signed(np.expm1(too_large[0])), signed(np.expm1(too_large[1]))
+    if seen.too_large.any():
+        length, width = (signed(each) for each in np.expm1(seen.too_large))
         yield f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off"
-    if enlarged > 1:
-        yield f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
-    if soft > 1:
-        yield f"the picture is soft: its edges are {soft:.2f} times as unsure as sharp ones"
+    if seen.enlarged > 1:
+        yield f"the picture has {float(seen.enlarged):g} times the pixels that it shows, each way: measured in fewer"
+    if seen.soft > 1:
+        yield f"the picture is soft: its edges are {seen.soft:.2f} times as unsure as sharp ones"
 
 
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
@@ -212,7 +241,9 @@ def _of(told: Measured, measurer: Measurer) -> Boxes:
     return replace(told.boxes, sigma=sigma, kinds=kinds)
 
 
-def _change(before: Boxes, after: Boxes) -> _Change:
+def _change(seen: _Seen) -> _Change:
+    before = Boxes.concatenate(list(seen.proposed.values()))
+    after = Boxes.concatenate([seen.told[name].boxes for name in seen.proposed])
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
     log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])

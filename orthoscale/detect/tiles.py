@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,11 +16,10 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
 from ..system.threads import Threads
-from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
+from .detector import CUT, CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
 from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
-TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 TILE_SIZE = 600  # [byte] of memory that a tile takes while it waits for its turn
 # The coarser of the two passes is half an octave coarser: half the pixels, and mistakes look different.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
@@ -56,15 +55,21 @@ def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLA
 
 
 def check_number(
-    pictures: Iterable[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
+    pictures: Sequence[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
 ) -> None:
-    """Raise InputError if the `tiles` of one of the `pictures`, held `lists` times, would exceed the memory budget."""
-    for picture in pictures:
-        sides = (_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
-        require(
-            lists * math.prod(sides) * TILE_SIZE,
-            f"{picture.name}, {picture.width} x {picture.height} px, at zoom {zoom:.2g}",
-        )
+    """Raise InputError if the `tiles` of all `pictures` together, held `lists` times, would exceed the memory
+    budget."""
+    if not pictures:
+        return
+    counts = [
+        math.prod(_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
+        for picture in pictures
+    ]
+    largest = pictures[counts.index(max(counts))]
+    what = f"{largest.name}, {largest.width} x {largest.height} px"
+    if len(pictures) > 1:
+        what = f"a set of {len(pictures):,} pictures, the largest of which is {what}"
+    require(lists * sum(counts) * TILE_SIZE, f"{what}, at zoom {zoom:.2g}")
 
 
 def _spans(size: int, zoom: float, tile: int, overlap: int) -> Iterator[tuple[int, int]]:
@@ -162,7 +167,7 @@ class _Pass:
         right, bottom = (-(-(centre.max(0) + PART_BORDER) // PART_GRID) * PART_GRID).astype(int).tolist()
         part = self.image[y:bottom, x:right]
         return {
-            kind: boxes[boxes.inside(part.shape[1], part.shape[0], TILE_BORDER)].mapped(1, (x, y))
+            kind: boxes[boxes.inside(part.shape[1], part.shape[0], CUT)].mapped(1, (x, y))
             for kind, boxes in self._seen(part).items()
         }
 
@@ -175,7 +180,7 @@ def read(picture: Picture, tile: Tile) -> np.ndarray:
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
-def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
+def place(boxes: Boxes, tile: Tile, border: float = CUT) -> Boxes:
     """`boxes` of a tile [px of the input] in pixels of its picture. Those nearer than `border` [px of the input] to the
     tile's edge are left out: they may be cut, and a neighbouring tile shows them whole."""
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]

@@ -89,7 +89,7 @@ class ZoomChoice:
         return self.rival_px if self.rival > AS_LIKELY and (self.one_scale or apart > NEAR_AND_FAR) else None
 
 
-def told_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:
+def user_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:
     """The zoom that the user gives: `zoom`, or that at which vehicles of `mean_length` [m] have the detector's best
     length if the GSD is `gsd_hint` [m/px]. None if neither is given: it has to be searched for.
 
@@ -180,8 +180,8 @@ class _Level:
     """What was seen at one zoom so far.
 
     filled : where each picture shows anything. parts : boxes of usable length by picture number [px of the picture].
-    done : (picture number, x, y) of the windows that were taken. anchor : number of the next place. complete : whether
-    the pictures were seen as a whole.
+    done : (picture number, x, y) of the windows that were taken. next_place : number of the next place to look at.
+    complete : whether the pictures were seen as a whole.
     """
 
     zoom: float
@@ -190,7 +190,7 @@ class _Level:
     done: set[tuple[int, int, int]] = field(default_factory=set)
     spent: float = 0.0  # network pixels
     looked: float = 0.0  # network pixels in `parts` that may show anything
-    anchor: int = 0
+    next_place: int = 0
     complete: bool = False
 
     def windows(self, pictures: Sequence[Picture], order: np.ndarray, budget: float) -> list[tuple[int, Tile]]:
@@ -212,8 +212,8 @@ class _Level:
                 return everything
         windows = []
         while self.spent < budget:
-            index, sx, sy = _anchor(self.anchor, order)
-            self.anchor += 1
+            index, sx, sy = _place(self.next_place, order)
+            self.next_place += 1
             if not self.filled[index].at(sx, sy):
                 continue
             picture = pictures[index]
@@ -354,7 +354,7 @@ def _cost(picture: Picture, tile: Tile) -> float:
     return tile.out_width * tile.out_height + decoded / DECODED
 
 
-def _anchor(number: int, order: np.ndarray) -> tuple[int, float, float]:
+def _place(number: int, order: np.ndarray) -> tuple[int, float, float]:
     """Place `number` of an endless sequence: picture, and position in it as shares of its width and height. Pictures
     take turns in `order`; positions are evenly spread at any length of the sequence (R2, Roberts 2018)."""
     golden = 1.32471795724474602596

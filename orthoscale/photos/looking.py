@@ -11,7 +11,7 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.progress import Progress
 from ..core.remarks import Remark
-from ..detect.zoom import told_zoom
+from ..detect.zoom import user_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.calibration import load_calibration
 from ..requests import PhotoRequest
@@ -96,7 +96,7 @@ def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Pro
     path = None if how.detector is None else Path(how.detector)
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
-    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
+    zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
     except (TooLittleEvidence, EvidenceDisagrees) as error:

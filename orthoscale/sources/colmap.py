@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,14 +16,14 @@ from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.source import FocalDoubt, GpsScale, Located, OffGround
 from ..errors import InputError, OrthoscaleError, OutputError, UsageError
-from ..formats.geometry.dense import find_dense, scale_dense, sparse_folders
+from ..formats.geometry.dense import scale_dense
 from ..formats.geometry.files import reason_left
-from ..formats.geometry.lengthless import has_lengths
-from ..formats.geometry.sim3 import MATRIX, Sim3
+from ..formats.geometry.sim3 import Sim3
 from ..formats.points import coordinates, number, pixel
-from ..system.signatures import FOLDER_MARK
-from .cameras import SCALED_MARK, cameras_of, refuse_another
+from .cameras import SCALED_MARK, refuse_another
+from .colmap_beside import copy_beside
 from .colmap_check import open_model
+from .colmap_dense import dense_of
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors
@@ -39,6 +37,7 @@ from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 from .positions import gps_scale
+from .standing import Standing, where_gps_says
 from .undistort import undistort
 
 if TYPE_CHECKING:
@@ -46,14 +45,7 @@ if TYPE_CHECKING:
 
     import pycolmap
 
-LARGEST_COPY = 64 << 20  # [byte] largest file beside the model that is copied; a larger one is data, not settings
-SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 FEW_POINTS = 500  # with fewer points of three views or more, those of two are used, too; chosen by eye, not tuned
-# Cameras this many times their own extent from the origin have map coordinates; a reconstruction's own origin lies
-# among its cameras.
-FAR_OFF = 100.0
-GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit is no coincidence
-OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +116,7 @@ class ColmapSource:
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
-        centres = np.array([self.centre(name) for name in self.picture_names])
+        centres = np.array(list(self._cameras.values()))
         return self._on_cloud(Ground.fit(points, centres), points, centres)
 
     def _on_cloud(self, sparse: Ground, points: np.ndarray, centres: np.ndarray) -> Ground:
@@ -211,27 +203,17 @@ class ColmapSource:
         return self.scaled_already or self._georeferenced
 
     @cached_property
-    def _off_origin(self) -> tuple[float, float]:
-        """Distance of its cameras from its origin, and their extent [model units]."""
-        centres = np.array([self.centre(name) for name in self.picture_names])
-        return float(np.linalg.norm(np.median(centres, axis=0))), float(np.linalg.norm(np.ptp(centres, axis=0)))
-
-    def _tell_moved(self, scale: float) -> None:
-        """Note that a model in map coordinates moves when it is scaled by `scale` about their origin."""
-        away, extent = self._off_origin
-        if away > FAR_OFF * extent > 0:
-            moved = f"the copy is {abs(scale - 1) * away:,.0f} m away from its place there"
-            self.notes.extend(informing([f"its coordinates, as of a map, grow about their own origin: {moved}"]))
+    def _standing(self) -> Standing:
+        return Standing.of(np.array(list(self._cameras.values())))
 
     @cached_property
     def _georeferenced(self) -> str:
-        away, extent = self._off_origin
-        if away > FAR_OFF * extent > 0:
-            return f"its cameras stand {away:,.0f} from its origin and within {extent:,.0f} of each other, as on a map"
-        for told in self.gps.evidence:
-            if told.relative_sd < GPS_SURE and abs(np.log(told.value)) < 2 * told.relative_sd:
-                return f"{told.says} are those of its cameras ({told.value:.3f} m per unit)"
-        return ""
+        return self._standing.as_on_a_map or where_gps_says(self.gps)
+
+    def _tell_moved(self, scale: float) -> None:
+        """Note that a model in map coordinates moves when it is scaled by `scale` about their origin."""
+        if moved := self._standing.moved(scale):
+            self.notes.append(Remark(INFO, moved))
 
     @cached_property
     def sparse(self) -> tuple[np.ndarray, np.ndarray]:
@@ -260,6 +242,11 @@ class ColmapSource:
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
         return {self._model.image(i).name: self._model.image(i) for i in self._model.reg_image_ids()}
+
+    @cached_property
+    def _cameras(self) -> dict[str, np.ndarray]:
+        """(3,) centre of each camera [model units, world], by the name of its image."""
+        return {name: self.centre(name) for name in self.picture_names}
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -341,7 +328,7 @@ class ColmapSource:
         write_scaled(self.folder, self.input_format, self._model, folder, sim3.scale)
         try:
             sim3.save(folder)
-            notes = informing(self._copy_rest(folder))
+            notes = informing(copy_beside(self.folder, folder, {path.name for path in self._paths}))
         except OSError as error:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
         self.notes.extend(note for note in notes if note not in self.notes)
@@ -349,62 +336,12 @@ class ColmapSource:
 
     @cached_property
     def dense(self) -> Path:
-        """The dense workspace that belongs to this model.
-
-        Raises UsageError if there is none, InputError for one without cameras, or whose cameras stand elsewhere because
-        it was made from another model.
-        """
-        folder = find_dense(self.folder)
-        if folder is None:
-            raise UsageError(
-                f"{self.folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
-                "Remove --dense, or bring it to metres later with `orthoscale apply`.",
-            )
-        undistorted = sparse_folders(folder)
-        if not undistorted:
-            raise InputError(
-                f"{folder} has no undistorted model in sparse/ that would show its depth maps and clouds to be in the "
-                f"units of {self.folder}",
-                "Run image_undistorter again; or, if you know that they are, use `orthoscale apply`.",
-            )
-        for sparse in undistorted:
-            if os.path.realpath(sparse) == os.path.realpath(self.folder):
-                continue
-            apart = self._apart(cameras_of(sparse))
-            if not apart or max(apart) > SAME_CAMERA * self.camera_height:
-                raise InputError(
-                    f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
-                    "It may be from another run or in metres already: run image_undistorter again.",
-                )
-        return folder
-
-    def _apart(self, cameras: Mapping[str, np.ndarray]) -> list[float]:
-        """Distances between the cameras of this model and `cameras` of the same names."""
-        return [float(np.linalg.norm(self.centre(name) - cameras[name])) for name in self._images if name in cameras]
+        """The dense workspace that belongs to this model. Raises what `dense_of` raises."""
+        return dense_of(self.folder, self._cameras, lambda: self.camera_height)
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`. Raises what `dense` raises."""
         self.notes.extend(informing(scale_workspace(self.dense, folder, metres_per_unit)))
-
-    def _copy_rest(self, folder: Path) -> list[str]:
-        copied, left, links = [], [], []
-        for path in sorted(self.folder.iterdir()):
-            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
-                continue
-            if path.is_symlink():  # its target is not part of the model
-                links.append(path.name)
-            elif has_lengths(path) or path.stat().st_size > LARGEST_COPY:  # a copy would seem to be in metres
-                left.append(path.name)
-            else:
-                shutil.copyfile(path, folder / path.name)
-                copied.append(path.name)
-        notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
-        if left:
-            why = "because it may hold lengths that are not in metres (see `orthoscale apply`), or is large"
-            notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
-        if links:
-            notes.append(f"left in {self.folder}, because they are symbolic links: {', '.join(links)}")
-        return notes
 
 
 def _reopened(
@@ -424,7 +361,7 @@ def scale_model(
     model = ColmapSource.open(source, need_images=False)
     if model.scaled_already:
         raise UsageError(f"{source} is in metres already: {model.scaled_already}", "Apply it to the original model.")
-    refuse_another(source, {name: model.centre(name) for name in model._images}, metric, scale)
+    refuse_another(source, model._cameras, metric, scale)
     model.write(target, scale)
 
 

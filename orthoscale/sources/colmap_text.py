@@ -128,10 +128,10 @@ def _text_points(path: Path, tables: Tables) -> None:
         track = _parse(where, words[8:], int, f"point {words[0]}")
         if len(track) % 2:
             raise damaged(where, f"the track of point {words[0]} is not pairs of image and observation")
-        colour = _parse(where, [words[0], *words[4:7]], int, f"point {words[0]}")
-        if not 0 <= colour[0] < NO_POINT or not all(0 <= c <= 255 for c in colour[1:]):
+        number, *colour = _parse(where, [words[0], *words[4:7]], int, f"point {words[0]}")
+        if not 0 <= number < NO_POINT or not all(0 <= c <= 255 for c in colour):
             raise damaged(where, f"point {words[0]}: its id or colour is out of range")
-        ids.append(colour[0])
+        ids.append(number)
         values.append(_parse(where, [*words[1:4], words[7]], float, f"point {words[0]}"))
         tracks += track
         lengths.append(len(track) // 2)

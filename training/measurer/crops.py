@@ -204,8 +204,8 @@ def _elsewhere(levels: list[np.ndarray], boxes: np.ndarray, length: float, rng: 
     """(5,) a box where there is no vehicle."""
     height, width = levels[0].shape[:2]
     while True:
-        place = rng.uniform(0, 1, 2) * (width, height)
-        if (np.hypot(*(boxes[:, :2] - place).T) > 0.6 * boxes[:, 2] + 0.3 * length).all():
+        place = real.clear_place(width, height, boxes, length, rng)
+        if place is not None:
             return np.array([*place, length * rng.uniform(0.8, 1.2), 0.42 * length, rng.uniform(0, 2 * np.pi)])
 
 

@@ -405,7 +405,10 @@ def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
 def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, float, str]], most: int) -> str:
     """Medians in metres, and log(median / fleet's mean), 0 if they agree: minus the error of the scale that they
     imply."""
-    lines = ["median length x width [m]; implied error of the scale by length, by width [%], if the fleet is right"]
+    lines = [
+        "median length x width [m]; by how much length and width exceed the fleet's [%], which makes the scale as much "
+        "too small"
+    ]
     lines.append(f"{'':20s}   n trusted | detector's boxes{'':12s}| measurer{'':20s}| fleet")
     margin = np.array(detector.card.ruler.margin)
     for scene, gsd, code in known:

@@ -69,11 +69,21 @@ def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
     for _ in range(random):
         length = image.median_length or np.exp(rng.uniform(*np.log(GROUND_LENGTHS)))
         length *= rng.uniform(0.7, 1.4)
-        place = rng.uniform(0, 1, 2) * (image.width, image.height)
-        if (np.hypot(*(image.boxes[:, :2] - place).T) > 0.6 * image.boxes[:, 2] + 0.3 * length).all():
+        place = clear_place(image.width, image.height, image.boxes, length, rng)
+        if place is not None:
             wanted.append((np.array([*place, length, 0.42 * length, rng.uniform(0, 2 * np.pi)]), NONE))
     cut = [_patch(pixels, box, kind) for box, kind in wanted]
     return [patch for patch in cut if patch is not None]
+
+
+def clear_place(
+    width: int, height: int, boxes: np.ndarray, length: float, rng: np.random.Generator
+) -> np.ndarray | None:
+    """(2,) a random place [px] in a picture of `width` x `height` px; None if a vehicle of `length` px there might
+    touch one of the `boxes` (N, 5)."""
+    place = rng.uniform(0, 1, 2) * (width, height)
+    clear = (np.hypot(*(boxes[:, :2] - place).T) > 0.6 * boxes[:, 2] + 0.3 * length).all()
+    return place if clear else None
 
 
 def read_patches(path: Path, read: np.ndarray) -> list[Patch]:
