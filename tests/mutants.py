@@ -299,9 +299,9 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/posterior.py",
-        "return OF_MEDIAN**2 / (np.asarray(count) + OF_MEDIAN**2 - 1)",
-        "return 1 / np.asarray(count)",
-        f"{POOLING}test_a_vote_of_several_views_errs_as_their_median_does",
+        "return np.where(count <= len(OF_FEW), few, np.pi / 2 / (count + more))",
+        "return 1 / count",
+        "tests/test_constants.py::test_the_variance_of_a_median_is_that_of_the_order_statistics",
     ),
     Mutant(
         "core/pooling/mixture.py",
