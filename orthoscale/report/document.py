@@ -263,10 +263,10 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         "trend": None
         if drift.trend is None
         else {
-            "percent_across": drift.trend.percent_across,
-            "chance": drift.trend.chance,
-            "percent_bent": drift.trend.percent_bent,
-            "bend_chance": drift.trend.bend_chance,
+            "percent_across": 100 * drift.trend.tilt,
+            "chance": drift.trend.p_tilt,
+            "percent_bent": 100 * drift.trend.bend,
+            "bend_chance": drift.trend.p_bend,
         },
         "drifts": drift.drifts,
     }
