@@ -263,8 +263,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/mixture.py",
-        "solved.unknown[solved.possible, :2] @ problem.weights",
-        "solved.unknown[solved.possible, :2].mean(1)",
+        "solved.unknown[solved.possible, SCALES] @ problem.weights",
+        "solved.unknown[solved.possible, SCALES].mean(1)",
         f"{POOLING}test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths_say",
     ),
     Mutant(

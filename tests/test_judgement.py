@@ -9,9 +9,9 @@ from support.reports import car_park
 import orthoscale
 from orthoscale.core.claims import Comparison
 from orthoscale.core.evidence import Compared, Evidence, Support
+from orthoscale.core.measuring.drift import Trend
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
-from orthoscale.core.measuring.drift import Trend
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift
 from orthoscale.core.pooling.agreement import Agreement
 from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark, amount

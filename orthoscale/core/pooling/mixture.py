@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .observed import FAITHFUL, Confusion, Drawing, Seen
-from .problem import UNKNOWNS, Hypotheses, Mix, Problem, levels, members
+from .problem import OF_SHRINKAGE, SCALES, UNKNOWNS, Hypotheses, Mix, Problem, levels, members
 from .solver import believed_share, solve
 
 SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # half width of the grid about the votes' median, its two steps [log scale]
@@ -101,7 +101,7 @@ def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
 
 def _finer(problem: Problem, solved: Hypotheses) -> np.ndarray:
     """A grid of step FINE about the possible scales of a coarse grid."""
-    coarse = solved.unknown[solved.possible, :2] @ problem.weights
+    coarse = solved.unknown[solved.possible, SCALES] @ problem.weights
     fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE + FINE, FINE)
     # The outermost lie a coarse step away: rounding errors, and so the unit of sizes, must not decide on them.
     return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE + FINE / 100]
@@ -114,13 +114,13 @@ def _fits(problem: Problem, solved: Hypotheses) -> Fits:
     evidence = best + float(np.log(np.exp(solved.log_probability - best).sum() * FINE))
     each = _normalised(solved.log_probability + _bags(most, solved))
     weight = each.mean(0)
-    means = each @ (solved.unknown[:, :2] @ problem.weights)
+    means = each @ (solved.unknown[:, SCALES] @ problem.weights)
     likeliest = int(np.argmax(solved.log_probability))
     covariance, known, of_known = _covariances(most, solved, likeliest)
     return Fits(
         weight=weight,
         log_evidence=evidence,
-        log_scale=solved.unknown[:, :2],
+        log_scale=solved.unknown[:, SCALES],
         covariance=known,
         of_known=of_known,
         drawing=covariance - known,
@@ -150,7 +150,7 @@ def _bags(problem: Problem, solved: Hypotheses) -> np.ndarray:
     believed = believed_share(apart.shape[1])
     variance, axes = np.linalg.eigh(apart @ apart.T * believed**2 / BAG)
     variance, axes = variance[-BAG_AXES:][::-1], axes[:, -BAG_AXES:][:, ::-1]
-    towards = np.where(solved.unknown[:, :2].sum(1) @ (axes - axes.mean(0)) < 0, -1, 1)
+    towards = np.where(solved.unknown[:, SCALES].sum(1) @ (axes - axes.mean(0)) < 0, -1, 1)
     drawn = np.random.default_rng(0).standard_normal((BAG_AXES, BAGS // 2))[: len(variance)].T
     moved = drawn @ (axes * towards * np.sqrt(np.maximum(variance, 0))).T
     return np.vstack([moved, -moved])
@@ -179,7 +179,7 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     information = np.einsum("kn,knij->kij", p, problem.inverse)
     whole[:UNKNOWNS, :UNKNOWNS] = np.einsum("kiu,kij,kjw->uw", problem.turn, information, problem.turn) + problem.prior
     whole[UNKNOWNS:, UNKNOWNS:] = counts.sum() * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(many)
-    without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
+    without = np.delete(np.arange(len(whole)), OF_SHRINKAGE)
     less, less_lost = whole[np.ix_(without, without)], lost[np.ix_(without, without)]
     return _of_scales(whole, lost), _of_scales(less, less_lost), _of_scales(less, np.zeros_like(less))
 
@@ -197,5 +197,5 @@ def _of_scales(whole: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """
     root = np.linalg.cholesky(np.linalg.inv(whole))
     kept, axes = np.linalg.eigh(np.eye(len(whole)) - root.T @ lost @ root)
-    half = root[:2] @ axes / np.sqrt(np.maximum(kept, LEAST_KEPT))
+    half = root[SCALES] @ axes / np.sqrt(np.maximum(kept, LEAST_KEPT))
     return half @ half.T
