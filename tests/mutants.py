@@ -346,8 +346,8 @@ MUTANTS = (
         "tests/test_anchors_followed.py::test_where_bright_ground_begins_there_is_no_line",
     ),
     Mutant(
-        "core/measuring/ways.py",
-        "np.diag(way.systematic.covariance) - both",
+        "core/measuring/joining.py",
+        "np.diag(way.systematic.covariance) - shared",
         "np.diag(way.systematic.covariance)",
         UNITED,
     ),
