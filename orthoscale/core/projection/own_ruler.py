@@ -16,7 +16,8 @@ from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
-BODY = (HEIGHT, UNDERCUT, LEAN, CORNER)  # columns of what boxes enclose
+SHAPE = (UNDERCUT, LEAN, CORNER)
+BODY = (HEIGHT, *SHAPE)  # columns of what boxes enclose
 # Finite differences for the slopes: [m], [detector px], [m], [1/m], share of the width. About as large as the
 # uncertainty of each: smaller ones change nothing in a box that hides what leans in, which would then seem certain.
 DIFFERENCES = (0.2, 0.25, 0.1, 0.1, 0.07)
