@@ -150,7 +150,7 @@ def test_a_mistake_that_explains_a_claim_is_guessed(truth, guess):
 def of_a_model(measured, percent, chance, odd=()):
     frames = {f"DJI_{k}.jpg": FrameScale(15.0, 0.4, 8) for k in range(4)}
     drift = ModelDrift(frames, odd, [], Trend(percent / 100, chance))
-    return replace(measured, found=Findings(drift=drift), modes={"oblique": measured})
+    return replace(measured, findings=Findings(drift=drift), modes={"oblique": measured})
 
 
 def test_frames_that_stand_out_are_named(measured):

@@ -120,7 +120,7 @@ class Evidence:
         """The distribution of the scale's logarithm, given that the evidence is not false."""
         return self.own.blurred(self.common**2)
 
-    def unlike(self, other: Evidence) -> tuple[Posterior, Posterior]:
+    def without_shared(self, other: Evidence) -> tuple[Posterior, Posterior]:
         """The distributions of this and of `other`, without the error that both share."""
         shared = min(self.common, other.common) ** 2
         return self.own.blurred(self.common**2 - shared), other.own.blurred(other.common**2 - shared)
@@ -257,7 +257,7 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
     Among many pairs some are far apart by chance, so the probability of a false contradiction is divided among them
     (Bonferroni).
     """
-    pairs = [(one.says, *_nearest(*one.unlike(other)), other.says) for one, other in combinations(evidence, 2)]
+    pairs = [(one.says, *_nearest(*one.without_shared(other)), other.says) for one, other in combinations(evidence, 2)]
     if vehicles is not None:  # of a mixture, the component nearest to the other measurement counts
         found = Posterior.normal(vehicles.centre, vehicles.spread)
         pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
@@ -350,7 +350,7 @@ def _within_reach(
         counts = (modes.mean >= interval[0]) & (modes.mean <= interval[1])
         for other in evidence:
             if other.kind != e.kind and other.doubt <= STRONG:
-                mine, there = e.unlike(other)
+                mine, there = e.without_shared(other)
                 apart = np.abs(mine.mean[:, None] - there.mean) / np.hypot(mine.sd[:, None], there.sd)
                 counts |= (apart < SUPPORTS).any(1)
         if counts.any():

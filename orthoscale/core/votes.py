@@ -15,7 +15,7 @@ LEAST_APART = 1.0
 USUAL_VIEWS = 4  # number of views to be expected of a parked vehicle from which a single view counts as a mistake
 # Share of the frames showing a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
 # (detect/weights/README.md). A parked vehicle that five frames show is then found in only one of them in 0.6 % of the
-# cases; what is moving, in a few more.
+# cases, a moving one more often.
 FOUND_IN = 0.8
 USUAL_NOISE = 0.05  # relative one sigma of a box that has no `sigma` of its own, besides `lasting`
 LEAST_NOISE = 1e-3  # least relative one sigma, for boxes that claim to have none

@@ -206,7 +206,7 @@ def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
 def _of_posed(measured: Measurement) -> dict[str, Any]:
     """The parts that only reconstructions have: the self-calibration, the measuring modes, and how these agree."""
     values: dict[str, Any] = {}
-    if (own := measured.found.calibration) is not None:
+    if (own := measured.findings.calibration) is not None:
         values["calibration"] = {**own.ruler.document(own.card), "trends": own.trends}
     if measured.modes:
         values["modes"] = {

@@ -134,7 +134,7 @@ class SweepGeometry:
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes of the boxes, less the part due to the vehicles' height."""
         ruler = card_of(self.found)
-        size, by_body = ruler.told(self._seen(metres_per_unit))
+        size, by_body = ruler.size_and_sd(self._seen(metres_per_unit))
         by_focal = {}
         if self.focal_sd:
             longer = ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))

@@ -101,7 +101,7 @@ def _answer(
     agreement = compare(scales, ratio, one_network)
     if agreement.contradicts:
         why, said = cause(
-            agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].found.calibration
+            agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].findings.calibration
         )
         agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
     answer = modes[name] if (name := alone(agreement)) is not None else first

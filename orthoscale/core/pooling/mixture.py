@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .observed import FAITHFUL, Confusion, Drawing, Seen
+from .observed import FAITHFUL, Confusion, Seen, Shrinkage
 from .problem import OF_SHRINKAGE, SCALES, UNKNOWNS, Hypotheses, Mix, Problem, levels, members
 from .solver import believed_share, solve
 
@@ -49,7 +49,7 @@ class Fits:
     log_scale : (V, 2) by lengths and by widths.
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
     of_known : (2, 2) the same if the class of each vote were known.
-    drawing : (2, 2) what the detector's unknown shrinkage adds to `covariance`.
+    of_shrinkage : (2, 2) what the detector's unknown shrinkage adds to `covariance`.
     chance : variance of the scale between samples of as many vehicles [log scale]: more of them would reduce it.
     member : (K + 1, N) probability of each class over all scales, LARGER last; the rest, to a sum of one, is that of
         a lorry, a partly hidden vehicle or no vehicle.
@@ -60,26 +60,26 @@ class Fits:
     log_scale: np.ndarray
     covariance: np.ndarray
     of_known: np.ndarray
-    drawing: np.ndarray
+    of_shrinkage: np.ndarray
     chance: float
     member: np.ndarray
 
 
 def fit(
-    seen: Seen, mixes: Sequence[Mix], drawing: Drawing = FAITHFUL, confusion: Confusion | None = None
+    seen: Seen, mixes: Sequence[Mix], shrinkage: Shrinkage = FAITHFUL, confusion: Confusion | None = None
 ) -> list[Fits | None]:
     """For each of `mixes`, its fits to the vehicles that are `seen`; None where no vote supports any class.
 
     Lengths and widths have a scale each, because fleet, margin and geometry may be off. `Mix.systematic` limits how far
     the two may differ, which holds the vehicles to the shape of their class. The grid is over their sum, weighted by
     `Mix.weights`; `solver` fits the mix at each of its scales.
-    `drawing` is the detector's shrinkage. `confusion` is how it confuses kinds; needed where kinds are seen.
+    `shrinkage` is the detector's. `confusion` is how it confuses kinds; needed where kinds are seen.
     """
     out: list[Fits | None] = [None] * len(mixes)
     # Mixes of equally many classes are solved together: one by one, the overhead of numpy's calls would dominate.
     for number in {len(mix.classes) for mix in mixes}:
         alike = [k for k, mix in enumerate(mixes) if len(mix.classes) == number]
-        problems = [Problem.of(seen, mixes[k], drawing, confusion) for k in alike]
+        problems = [Problem.of(seen, mixes[k], shrinkage, confusion) for k in alike]
         for k, problem, solved in zip(alike, problems, _possible(problems), strict=True):
             with suppress(np.linalg.LinAlgError):
                 out[k] = _fits(problem, solved)
@@ -123,7 +123,7 @@ def _fits(problem: Problem, solved: Hypotheses) -> Fits:
         log_scale=solved.unknown[:, SCALES],
         covariance=known,
         of_known=of_known,
-        drawing=covariance - known,
+        of_shrinkage=covariance - known,
         chance=BAG * float(means.var()),
         member=_classes_of(problem, solved, weight),
     )

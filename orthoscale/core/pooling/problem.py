@@ -25,7 +25,7 @@ from .beside_fleet import (
     left_out,
     partly_hidden,
 )
-from .observed import Confusion, Drawing, Seen
+from .observed import Confusion, Seen, Shrinkage
 
 IMPOSSIBLE = 9.0  # how far below the best log probability a scale is not tried again
 UNKNOWNS = 5  # in this order: those of `Problem`
@@ -101,25 +101,26 @@ class Problem:
     class_called: np.ndarray
 
     @classmethod
-    def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> Problem:
+    def of(cls, seen: Seen, mix: Mix, shrinkage: Shrinkage, confusion: Confusion | None) -> Problem:
         """The problem of the vehicles `seen` and one fleet; see `mixture.fit`."""
         log_size, classes, weights = seen.log_size, mix.classes, mix.weights
         every = [*classes, LARGER, LORRIES, partly_hidden(classes)]
-        means = np.array([drawing.log_mean(c) for c in every])
+        means = np.array([shrinkage.log_mean(c) for c in every])
         # A box's relative noise is taken of the size that its vehicle should have, not of the measured size: else boxes
         # that came out large by chance would count for more. A rough scale is enough for that.
         rough = np.median(np.median(means[: len(classes)], axis=0) - log_size, axis=0)
         noise = (seen.noise / np.exp(means - rough)[:, None]) ** 2
-        spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
+        spread = np.array([shrinkage.covariance(c.log_covariance) for c in every])[:, None]
+        spread = spread + noise[..., None] * np.eye(2)
         tie = np.linalg.inv(mix.systematic)  # ties the two scales to each other, and leaves what they share free
         tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
         turn = np.zeros((len(every), 2, UNKNOWNS))
         turn[:, :, SCALES] = np.eye(2)
         turn[len(classes), :, OF_LARGER] = -np.eye(2)
-        turn[:, :, OF_SHRINKAGE] = [-drawing.slope(c) for c in every]
+        turn[:, :, OF_SHRINKAGE] = [-shrinkage.slope(c) for c in every]
         prior = np.zeros((UNKNOWNS, UNKNOWNS))
         prior[SCALES, SCALES], prior[OF_SHRINKAGE, OF_SHRINKAGE] = tie, 1.0
-        prior[OF_LARGER, OF_LARGER] = np.linalg.inv(drawing.covariance(LARGER.log_covariance))
+        prior[OF_LARGER, OF_LARGER] = np.linalg.inv(shrinkage.covariance(LARGER.log_covariance))
         basis = np.zeros((UNKNOWNS, UNKNOWNS - 1))
         basis[SCALES, 0] = weights[1], -weights[0]
         basis[2:, 1:] = np.eye(UNKNOWNS - 2)

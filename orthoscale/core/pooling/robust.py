@@ -30,7 +30,7 @@ from ..votes import Votes
 from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
-from .observed import Confusion, Drawing, Seen
+from .observed import Confusion, Seen, Shrinkage
 from .posterior import Posterior, of_median
 from .problem import Mix
 
@@ -206,7 +206,7 @@ def _of_candidates(
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
         """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
-        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.drawing, ruler.confusion)
+        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.shrinkage, ruler.confusion)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
         if not out:
             raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
@@ -251,7 +251,7 @@ def _of_fleets(
     seen: Seen,
     fleets: Sequence[Fleet],
     known: Mapping[str, np.ndarray],
-    drawing: Drawing,
+    shrinkage: Shrinkage,
     confusion: Confusion | None,
 ) -> list[_Vehicles | None]:
     """The scale by the vehicles `seen` under each of `fleets`, None where they cannot be of it. known : by part of the
@@ -259,12 +259,12 @@ def _of_fleets(
     every, mixes = [], []
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
-        shared = {"fleet": drawing.covariance(fleet.class_mean_covariance(classes)), **known}
+        shared = {"fleet": shrinkage.covariance(fleet.class_mean_covariance(classes)), **known}
         systematic = _believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
         # Weights by the common errors alone: the fit ties the two scales by these, and so contains the votes' scatter.
         mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))
-    found = fit(seen, mixes, drawing, confusion)
+    found = fit(seen, mixes, shrinkage, confusion)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
         for fits, mix, shared in zip(found, mixes, every, strict=True)
@@ -287,9 +287,9 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
     variance = posterior.spread**2
     rest = variance - sum(v**2 for v in parts.values())
     sampling = min(max(float(weights @ fits.covariance @ weights), fits.chance), rest)
-    drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
-    parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
-    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
+    by_shrinkage = float(np.clip(weights @ fits.of_shrinkage @ weights, 0, rest - sampling))
+    parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(by_shrinkage)))
+    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - by_shrinkage)))
     # The prior ties the scales by lengths and by widths, so the fit has brought them nearer to each other: the
     # variance of their fitted difference is the prior variance minus the posterior one.
     apart = np.array([1.0, -1.0])

@@ -164,7 +164,7 @@ class OwnRuler:
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
-    def told(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
+    def size_and_sd(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
         """Sizes (N, 2) as `size`, NaN also where a slightly different body could not give the box; and (2,) relative
         one-sigmas common to all lengths and to all widths, from the uncertainty of bodies and of what boxes enclose."""
         size, slopes = self.size(seen), self.slopes(seen, BODY)
