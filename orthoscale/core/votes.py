@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from .linked import linked
+
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
@@ -178,10 +180,7 @@ def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:
 
 def same_place(place: np.ndarray, reach: float) -> np.ndarray:
     """(M,) cluster number of each point: points linked by steps shorter than `reach`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(place).query_pairs(reach, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place), len(place)))
-    return connected_components(graph, directed=False)[1]
+    return linked(pairs[:, 0], pairs[:, 1], len(place))
