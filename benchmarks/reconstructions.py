@@ -70,7 +70,7 @@ def main() -> None:
             print(f"| decoupled, {name} | {value:.4g} | {100 * (value / truth - 1):+.1f} % | |")
         if measured.agreement is not None:
             print(f"\n{measured.agreement.sentence()}")
-        changes = measured.found.calibration.trends
+        changes = measured.findings.calibration.trends
         for when, slopes in (changes or {}).items():
             said = ", ".join(f"{v:+.1f} +- {sd:.1f} {name.replace('_', ' ')}" for name, (v, sd) in slopes.items())
             print(f"\nTrend {when} calibration: {said}")

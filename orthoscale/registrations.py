@@ -90,21 +90,26 @@ def fleet_of_register(path: Path) -> Registered:
     # The vehicles of unknown models may differ from the mean as one known model does. All of a register may be of older
     # or of newer generations, so the spread over generations does not average out.
     mean_sd = np.sqrt(COMMON**2 + generations**2 + ((1 - known) * sd) ** 2 + sd**2 / weight.sum())
-    mixture = []
-    for name in sorted({m.class_ for m in models}):
-        own = np.array([m.class_ == name for m in models])
-        sizes = _moments([m for m in models if m.class_ == name], weight[own])
-        share = round(float(weight[own].sum() / weight.sum()), 5)
-        mixture.append({"class": name, "weight": share, "corr_LW": CORRELATION, **_plain(*sizes)})
     entry = {
         "name": f"vehicles of {path.name}",
         "source": f"{path.name}: {total:,.0f} vehicles, of which {100 * known:.0f} % are of models of known size",
         "shares_source": f"counted: {path.name}",
         **_plain(mean, sd),
         "mean_sd": [round(float(v), 4) for v in mean_sd],
-        "mixture": mixture,
+        "mixture": _mixture(models, weight),
     }
     return Registered(entry, total, known, tuple(unknown))
+
+
+def _mixture(models: Sequence[Model], weight: np.ndarray) -> list[dict[str, Any]]:
+    """The classes of `models`, of which there are `weight` (N,) vehicles each, as in a fleet's entry."""
+    mixture = []
+    for name in sorted({m.class_ for m in models}):
+        own = np.array([m.class_ == name for m in models])
+        sizes = _moments([m for m in models if m.class_ == name], weight[own])
+        share = round(float(weight[own].sum() / weight.sum()), 5)
+        mixture.append({"class": name, "weight": share, "corr_LW": CORRELATION, **_plain(*sizes)})
+    return mixture
 
 
 def model_called(text: str) -> Model | None:

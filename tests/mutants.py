@@ -263,8 +263,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/mixture.py",
-        "solved.unknown[solved.possible, :2] @ problem.weights",
-        "solved.unknown[solved.possible, :2].mean(1)",
+        "solved.unknown[solved.possible, SCALES] @ problem.weights",
+        "solved.unknown[solved.possible, SCALES].mean(1)",
         f"{POOLING}test_where_widths_are_hardly_believed_lengths_tell_the_scale_whatever_widths_say",
     ),
     Mutant(
@@ -299,9 +299,9 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/posterior.py",
-        "return OF_MEDIAN**2 / (np.asarray(count) + OF_MEDIAN**2 - 1)",
-        "return 1 / np.asarray(count)",
-        f"{POOLING}test_a_vote_of_several_views_errs_as_their_median_does",
+        "return np.where(count <= len(OF_FEW), few, np.pi / 2 / (count + more))",
+        "return 1 / count",
+        "tests/test_constants.py::test_the_variance_of_a_median_is_that_of_the_order_statistics",
     ),
     Mutant(
         "core/pooling/mixture.py",
@@ -346,8 +346,8 @@ MUTANTS = (
         "tests/test_anchors_followed.py::test_where_bright_ground_begins_there_is_no_line",
     ),
     Mutant(
-        "core/measuring/ways.py",
-        "np.diag(way.systematic.covariance) - both",
+        "core/measuring/joining.py",
+        "np.diag(way.systematic.covariance) - shared",
         "np.diag(way.systematic.covariance)",
         UNITED,
     ),

@@ -12,11 +12,12 @@ from support.blocks import Conditions, fly
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring import oblique
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
+from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic
-from orthoscale.core.measuring.ways import measure_source, united
+from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import TooLittleEvidence

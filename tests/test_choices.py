@@ -10,8 +10,8 @@ from support.models import make_model, save
 from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
 from orthoscale.core.evidence import Support
-from orthoscale.core.measuring.drift import Drift
-from orthoscale.core.measuring.model_drift import ModelDrift, Trend
+from orthoscale.core.measuring.drift import Drift, Trend
+from orthoscale.core.measuring.model_drift import ModelDrift
 from orthoscale.core.measuring.oblique import height_share
 from orthoscale.core.measuring.parallax import standing
 from orthoscale.core.measuring.systematic import Systematic
@@ -200,7 +200,7 @@ def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_sta
     frame = np.full(1000, "a.jpg")
     stands = standing(place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1))
     nadir = height_share(size, np.zeros((1000, 2)), 0.25)  # from there vehicles show nothing of their height
-    shared = Systematic(nadir, stands.alike).covariance
+    shared = Systematic(nadir, {"ground": np.full(2, stands.shared)}).covariance
     assert shared == pytest.approx(np.full((2, 2), 0.01**2))
 
 
@@ -274,10 +274,11 @@ def test_walls_that_lean_do_so_from_the_bumpers_up():
     (0.004, 0.02, True), (0.006, 0.02, False), (0.1, 0.2, False), (1e-6, 0.009, False), (1e-6, 0.011, True),
 ])  # fmt: skip
 def test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_the_scale(chance, tilt, drifts):
-    tilted = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, chance, 0.0, 1.0)
-    bent = Drift(np.empty((0, 5)), (1.0, 1.0), 0.0, 0.01, 0.0, 1.0, tilt, chance)
+    trends = Trend(tilt, chance), Trend(0.0, 1.0, tilt, chance)
+    on_map = {"cells": np.empty((0, 5)), "cell": (1.0, 1.0), "tilt_sd": 0.01, "direction": 0.0}
+    tilted, bent = (Drift(**vars(trend), **on_map) for trend in trends)
     assert tilted.drifts == bent.drifts == bool(tilted.remark) == bool(bent.remark) == drifts
-    models = [ModelDrift({}, [], [], t) for t in (Trend(100 * tilt, chance), Trend(0.0, 1.0, 100 * tilt, chance))]
+    models = [ModelDrift({}, [], [], trend) for trend in trends]
     assert [model.drifts for model in models] == [bool(model.warnings) for model in models] == [drifts] * 2
 
 

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 from scipy.optimize import brentq
+from scipy.special import gammaln
 from scipy.stats import norm
 
 import orthoscale
-from orthoscale.core.pooling.posterior import ROBUST_SD, Z90
+from orthoscale.core.pooling.posterior import OF_MEDIAN, ROBUST_SD, Z90, of_median
 from orthoscale.core.round_numbers import round_above, round_below, scale_bar
 from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
@@ -92,6 +94,30 @@ def test_the_normal_distributions_numbers_have_one_owner():
 def test_the_normal_distributions_numbers_are_right():
     assert pytest.approx(norm.ppf(0.95), abs=1e-4) == Z90
     assert pytest.approx(1 / norm.ppf(0.75), abs=1e-4) == ROBUST_SD
+
+
+def variance_of_median(count):
+    """Of so many normal values: the joint density of the middle two, or the density of the middle one, integrated."""
+    middle = np.linspace(-9, 9, 1201)
+    below = (count - 1) // 2  # values on either side of the middle ones
+    half = np.linspace(0, 6, 401) if count % 2 == 0 else np.zeros(1)  # of the distance between the middle two
+    low, high = middle[:, None] - half, middle[:, None] + half
+    log = gammaln(count + 1) - 2 * gammaln(below + 1) + below * (norm.logcdf(low) + norm.logsf(high)) + norm.logpdf(low)
+    density = np.exp(log + (norm.logpdf(high) if count % 2 == 0 else 0))
+    density = density.sum(1) if count % 2 else simpson(density, x=half, axis=1)
+    return float(density @ middle**2 / density.sum())
+
+
+def test_the_variance_of_a_median_is_that_of_the_order_statistics():
+    counts = np.array([*range(1, 25), 40, 41, 100, 101])
+    exact = np.array([variance_of_median(count) for count in counts.tolist()])
+    assert of_median(counts[:10]) == pytest.approx(exact[:10], rel=1e-5)
+    assert of_median(counts) == pytest.approx(exact, rel=4e-4)
+    assert float(of_median(1)) == 1.0, "one view leaves all of its noise"
+    assert (np.diff(of_median(np.arange(1, 200))) < 0).all(), "no jump"
+    assert float(of_median(10**6)) == pytest.approx(OF_MEDIAN**2 / 10**6, rel=1e-4)
+    drawn = np.random.default_rng(0).standard_normal((200_000, 4))
+    assert np.median(drawn, axis=1).var() == pytest.approx(float(of_median(4)), rel=0.01)
 
 
 def test_where_the_ground_sheet_settles_follows_from_how_it_listens():

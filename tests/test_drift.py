@@ -122,7 +122,7 @@ def scale_of_whole(sd=0.025):
 @pytest.mark.parametrize("p, tilt, drifts", [(0.007, 0.05, False), (0.004, 0.003, False), (0.004, 0.05, True)])
 def test_one_judgement_of_drift(p, tilt, drifts):
     """Warned of and shown alike: not what chance makes, not what nobody need know."""
-    found = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, p, 0.0, 1.0)
+    found = Drift(tilt, p, cells=np.empty((0, 5)), cell=(1.0, 1.0), tilt_sd=0.01, direction=0.0)
     assert found.drifts is drifts and bool(found.remark) is drifts and (found.amplitude > 0) is drifts
     told = SimpleNamespace(drift=found, scale=scale_of_whole(), remarks=[], modes={})
     assert judgement._places(told).severity == (CAUTION if drifts else SUPPORT)

@@ -63,12 +63,25 @@ def test_many_that_err_as_they_say_are_seldom_taken_for_contradictions():
 
 
 def test_an_error_that_two_share_hides_no_contradiction_between_them():
-    one, other = (Evidence(kind, value, 0.003, kind, common=0.01) for kind, value in (("court", 1.0), ("lane", 1.04)))
+    sd = float(np.hypot(0.003, 0.01))
+    one, other = (Evidence(kind, value, sd, kind, common=0.01) for kind, value in (("court", 1.0), ("lane", 1.04)))
     vehicles = Posterior.normal(0.0, 0.05)
     together = combined(vehicles, PARTS, [one, other])
     assert together.conflict == pytest.approx(np.log(1.04) / (0.003 * np.sqrt(2)), rel=0.01)
     surer = Evidence("tape", 1.02, 0.003, "tape")  # shares nothing: what the court may be off counts
     assert combined(vehicles, PARTS, [one, surer]).conflict == 0
+
+
+def test_the_common_error_is_a_part_of_the_error_however_evidence_is_made():
+    by_modes = Evidence.mixed("court", Posterior.normal(np.log(1.1), 0.03), ["a court"], common=0.04)
+    by_hand = Evidence("court", 1.1, 0.05, "a court", common=0.04)
+    assert by_hand.relative_sd == pytest.approx(by_modes.relative_sd) == pytest.approx(by_hand.posterior.spread)
+    assert by_hand.own_sd == pytest.approx(by_modes.own_sd) == pytest.approx(by_hand.own.spread)
+    one, other = (combined(VEHICLES, PARTS, [e, Evidence("tape", 0.1, 0.02, "")]) for e in (by_modes, by_hand))
+    assert one.summary == pytest.approx(other.summary)
+    assert [c.sd for c in one.support.compared] == pytest.approx([c.sd for c in other.support.compared])
+    with pytest.raises(ValueError, match="not less than"):
+        Evidence("court", 1.1, 0.01, "a court", common=0.01)
 
 
 def test_an_error_that_vehicles_share_hides_no_contradiction_with_them():

@@ -9,9 +9,10 @@ from support.reports import car_park
 import orthoscale
 from orthoscale.core.claims import Comparison
 from orthoscale.core.evidence import Compared, Evidence, Support
+from orthoscale.core.measuring.drift import Trend
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
-from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
+from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift
 from orthoscale.core.pooling.agreement import Agreement
 from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark, amount
 from orthoscale.core.scale import PER_PIXEL
@@ -148,8 +149,8 @@ def test_a_mistake_that_explains_a_claim_is_guessed(truth, guess):
 
 def of_a_model(measured, percent, chance, odd=()):
     frames = {f"DJI_{k}.jpg": FrameScale(15.0, 0.4, 8) for k in range(4)}
-    drift = ModelDrift(frames, odd, [], Trend(percent, chance))
-    return replace(measured, found=Findings(drift=drift), modes={"oblique": measured})
+    drift = ModelDrift(frames, odd, [], Trend(percent / 100, chance))
+    return replace(measured, findings=Findings(drift=drift), modes={"oblique": measured})
 
 
 def test_frames_that_stand_out_are_named(measured):

@@ -65,7 +65,7 @@ def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     ruler = replace(found.ruler, margin=(margin, margin), margin_sd=(2.0, 2.0))
     wrong = replace(found, ruler=ruler, effective_height=(height, height), planar=None)
     measured = measure_source(ColmapSource.open(flight[0]), wrong, FLEET)
-    calibration = measured.found.calibration
+    calibration = measured.findings.calibration
     fitted = calibration.ruler.height
     assert np.abs(fitted - HEIGHT).max() < 0.5 * abs(height - HEIGHT)
     assert calibration.ruler.views > 100
@@ -114,8 +114,8 @@ def test_a_frame_of_another_scale_is_named(flight, found):
 def test_the_ruler_that_is_reported_is_the_one_that_was_measured_with(flight, found):
     """After the last round nothing is refined: no vehicle would have been measured with that."""
     geometry = ExactGeometry.of(ColmapSource.open(flight[0]), found, FLEET, Method())
-    first = measure(replace(geometry, rounds=1), FLEET).found.calibration
-    later = measure(geometry, FLEET).found.calibration
+    first = measure(replace(geometry, rounds=1), FLEET).findings.calibration
+    later = measure(geometry, FLEET).findings.calibration
     assert first.ruler is first.card and later.ruler is not later.card
 
 
@@ -225,7 +225,7 @@ def parted(measured, apart, plan=None, height=HEIGHT):
     scales = {"oblique": oblique, "planar": replace(planar, value=1.5 * oblique.value)}
     agreement = compare(scales, np.column_stack([apart, apart]))
     plan = np.random.default_rng(1).uniform(0, 50, (len(apart), 2)) if plan is None else plan
-    own = measured.found.calibration
+    own = measured.findings.calibration
     value = own.ruler.value.copy()
     value[:, 0] = height
     calibration = replace(own, ruler=replace(own.ruler, value=value))
@@ -241,7 +241,7 @@ def test_the_cause_of_a_contradiction_is_named(measured):
     assert parted(measured, noise + 0.3)[0] is Cause.BOXES
     name, said = parted(measured, noise + 0.3 + 0.004 * plan[:, 0], plan)
     assert name is Cause.GROUND and "across the model" in said
-    name, said = parted(measured, noise + 0.3, height=measured.found.calibration.card.height[0] + 0.8)
+    name, said = parted(measured, noise + 0.3, height=measured.findings.calibration.card.height[0] + 0.8)
     assert name is Cause.LENS and "focal length" in said
 
 

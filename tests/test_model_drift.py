@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from orthoscale.core.measuring.drift import drift
-from orthoscale.core.measuring.model_drift import ModelDrift, Trend, by_frame, by_region, model_drift, trend_of
+from orthoscale.core.measuring.drift import Trend, drift
+from orthoscale.core.measuring.model_drift import ModelDrift, by_frame, by_region, model_drift, trend_of
 from orthoscale.core.measuring.surface import LOTS_SD
 from orthoscale.core.measuring.vehicles import VEHICLE
 from orthoscale.core.pooling.robust import pool
@@ -110,9 +110,9 @@ def test_what_hardly_matters_is_not_named_however_sure(stray, named):
 
 def test_a_bent_model_shows_a_trend():
     straight, _ = seen()
-    assert straight.trend.chance > 0.01 and straight.warnings == []
+    assert straight.trend.p_tilt > 0.01 and straight.warnings == []
     bent, _ = seen(bend=0.3)
-    assert bent.trend.chance < 0.001 and 15 < bent.trend.percent_across < 50
+    assert bent.trend.p_tilt < 0.001 and 0.15 < bent.trend.tilt < 0.5
     assert "across the model" in bent.warnings[-1]
     scales = [region.scale for region in sorted(bent.regions, key=lambda r: r.centre[0])]
     assert scales[-1] > 1.1 * scales[0]
@@ -120,12 +120,12 @@ def test_a_bent_model_shows_a_trend():
 
 def test_a_bowl_is_told_from_a_tilt_and_drawn():
     found, scale = seen(bowl=0.3, vehicles=120)
-    assert found.bends and found.drifts and found.trend.bend_chance < 1e-3
-    assert 20 < found.trend.percent_bent < 45
-    assert found.amplitude >= found.trend.percent_bent / 100 * 0.99
+    assert found.trend.bends and found.drifts and found.trend.p_bend < 1e-3
+    assert 0.2 < found.trend.bend < 0.45
+    assert found.amplitude >= 0.99 * found.trend.bend
     assert "as in a bowl" in found.warnings[-1]
     plain, _ = seen(vehicles=120)
-    assert not plain.bends
+    assert not plain.trend.bends
     values = {"regions": _model_drift(found)["regions"], "drifts": True}
     panel = regions_panel(values, scale.value, 600)
     orange = (panel.astype(int)[..., 0] - panel[..., 2] > 60).sum()
@@ -138,7 +138,7 @@ def test_a_strip_without_breadth_has_a_trend_all_the_same():
     along = np.linspace(0, 50, 30)
     plan = np.column_stack([along, np.zeros(30)])
     trend = trend_of((along / 50 - 0.5) ** 2 + 1e-3 * np.sin(np.arange(30)), plan, 5.0)
-    assert trend.bend_chance < 1e-3 and trend.percent_bent == pytest.approx(25, rel=0.3)
+    assert trend.p_bend < 1e-3 and trend.bend == pytest.approx(0.25, rel=0.3)
 
 
 def test_what_a_bowl_adds_is_told_apart_from_the_tilt():
@@ -147,9 +147,9 @@ def test_what_a_bowl_adds_is_told_apart_from_the_tilt():
     plan = 200 * np.column_stack([x.ravel(), y.ravel()])
     tilted = trend_of(0.05 * x.ravel(), plan)
     both = trend_of((0.05 * x + 0.04 * (x**2 + y**2)).ravel(), plan)
-    for trend, bent in ((tilted, 0.0), (both, 8.0)):
-        assert (trend.percent_across, trend.percent_bent) == pytest.approx((10.0, bent), abs=0.5)
-    assert ModelDrift({}, [], [], Trend(3.0, 1e-6, 4.0, 1e-6)).amplitude == pytest.approx(0.05)
+    for trend, bent in ((tilted, 0.0), (both, 0.08)):
+        assert (trend.tilt, trend.bend) == pytest.approx((0.1, bent), abs=0.005)
+    assert ModelDrift({}, [], [], Trend(0.03, 1e-6, 0.04, 1e-6)).amplitude == pytest.approx(0.05)
 
 
 def test_few_vehicles_have_no_trend():
@@ -191,7 +191,7 @@ def test_the_same_lots_on_more_units_are_the_same():
     plan, stray = rng.uniform(0, 300, (60, 2)), rng.normal(0, 0.05, 60)
     metres, units = trend_of(stray, plan), trend_of(stray, plan / UNIT, UNIT)
     assert vars(metres) == pytest.approx(vars(units))
-    assert isinstance(metres, Trend) and metres.chance > trend_of(stray, plan, lots_sd=0.0).chance
+    assert isinstance(metres, Trend) and metres.p_tilt > trend_of(stray, plan, lots_sd=0.0).p_tilt
 
 
 def test_a_region_is_no_surer_than_its_lot():
@@ -215,5 +215,5 @@ def test_a_bend_is_seen_as_well_far_from_the_origin():
     plan = rng.uniform(-150, 150, (200, 2))
     stray = 0.12 * ((plan / 150) ** 2).sum(1) + rng.normal(0, 0.06, 200)
     here, away = trend_of(stray, plan), trend_of(stray, plan + (5e5, 5e6))
-    assert away.bend_chance == pytest.approx(here.bend_chance, rel=1e-3)
-    assert away.chance == pytest.approx(here.chance, rel=1e-3)
+    assert away.p_bend == pytest.approx(here.p_bend, rel=1e-3)
+    assert away.p_tilt == pytest.approx(here.p_tilt, rel=1e-3)

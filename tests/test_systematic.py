@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.measurement import Pooled
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic, of_height
-from orthoscale.core.measuring.ways import united
 from orthoscale.core.pooling.robust import vote_noise
 from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, OwnRuler
 from orthoscale.core.ruler import Ruler

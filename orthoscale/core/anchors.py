@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from .linked import linked
 
 SAMPLED = 0.05  # spacing of the points at which lines are compared [anchors' reference lengths]
 BAYS = "parking bays"  # the kind of rows of bays, whether found by their lines or by the vehicles in them
@@ -156,9 +156,7 @@ def alike(lines: Sequence[np.ndarray], size: Sequence[float], blur: float = 0.0)
     if not pairs:
         return number
     i, j = np.array(pairs).T
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(lines), len(lines)))
-    joined: np.ndarray = connected_components(graph, directed=False)[1]
-    return joined
+    return linked(i, j, len(lines))
 
 
 def _along(lines: np.ndarray, step: float) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from .boxes import Boxes
 from .confirmed import about
+from .linked import linked
 
 TOGETHER = 1.6  # [lengths of the shorter box] centres nearer than this form a group; bays end to end are 1.2 apart
 TURN = np.radians(8.0)  # angle within which neighbouring boxes of a group are parallel
@@ -64,8 +65,6 @@ def more_of_the_same(boxes: Boxes, alike: np.ndarray) -> np.ndarray:
 
 def _standing_together(boxes: Boxes) -> np.ndarray:
     """(N,) number of each box's group; chains of near neighbours connect the boxes of a group."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     n = len(boxes)
@@ -81,5 +80,4 @@ def _standing_together(boxes: Boxes) -> np.ndarray:
     apart = np.linalg.norm(boxes.centre[i] - boxes.centre[j], axis=1)
     turned = np.abs((boxes.angle[i] - boxes.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
     near = (apart < TOGETHER * np.minimum(boxes.length[i], boxes.length[j])) & (turned < TURN)
-    links = coo_array((np.ones(int(near.sum())), (i[near], j[near])), shape=(n, n))
-    return connected_components(links, directed=False)[1]
+    return linked(i[near], j[near], n)

@@ -48,13 +48,15 @@ OF_ANCHORS = "it may be of another standard, or something else"
 
 @dataclass(frozen=True)
 class Evidence:
-    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` describes it.
+    """One measurement of the scale: metres per unit of the source; `says` describes it.
 
-    modes, words : if it may mean several scales, all of them, and a description of each; `value` is one of them.
-    doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is possible.
-    common : one sigma of the error that it shares with the vehicles and with all else that was seen on the same
-    ground; not contained in `modes`. documented : False if it rests on a standard that is not documented
-    (`Standard.documented`): it counts, but improves no verdict.
+    relative_sd : one sigma of its `value`, with all errors. modes, words : if it may mean several scales, all of them,
+    and a description of each; `value` is one of them. doubt : probability that it is false; then any scale in a range
+    as wide as `window` (in logarithms) is possible. common : one sigma of the error that it shares with the vehicles
+    and with all else that was seen on the same ground; contained in `relative_sd`, but not in `modes`. documented :
+    False if it rests on a standard that is not documented (`Standard.documented`): it counts, but improves no verdict.
+
+    Raises ValueError where `common` is not less than `relative_sd`.
     """
 
     kind: str
@@ -67,6 +69,12 @@ class Evidence:
     window: float = 1.0
     common: float = 0.0
     documented: bool = True
+
+    def __post_init__(self) -> None:
+        if self.modes is None and self.common and self.common >= self.relative_sd:
+            raise ValueError(
+                f"{self.says}: `common` {self.common:g} is not less than `relative_sd` {self.relative_sd:g}"
+            )
 
     @classmethod
     def mixed(
@@ -105,14 +113,14 @@ class Evidence:
     @property
     def own_sd(self) -> float:
         """One sigma of its `value` without the error that it shares with others."""
-        return self.relative_sd if self.modes is None else float(np.sqrt(self.relative_sd**2 - self.common**2))
+        return float(np.sqrt(self.relative_sd**2 - self.common**2))
 
     @property
     def posterior(self) -> Posterior:
         """The distribution of the scale's logarithm, given that the evidence is not false."""
         return self.own.blurred(self.common**2)
 
-    def unlike(self, other: Evidence) -> tuple[Posterior, Posterior]:
+    def without_shared(self, other: Evidence) -> tuple[Posterior, Posterior]:
         """The distributions of this and of `other`, without the error that both share."""
         shared = min(self.common, other.common) ** 2
         return self.own.blurred(self.common**2 - shared), other.own.blurred(other.common**2 - shared)
@@ -120,7 +128,7 @@ class Evidence:
     @property
     def own(self) -> Posterior:
         """The distribution of the scale's logarithm without the error that it shares with others."""
-        return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
+        return self.modes or Posterior.normal(float(np.log(self.value)), self.own_sd)
 
 
 @dataclass(frozen=True)
@@ -249,7 +257,7 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
     Among many pairs some are far apart by chance, so the probability of a false contradiction is divided among them
     (Bonferroni).
     """
-    pairs = [(one.says, *_nearest(*one.unlike(other)), other.says) for one, other in combinations(evidence, 2)]
+    pairs = [(one.says, *_nearest(*one.without_shared(other)), other.says) for one, other in combinations(evidence, 2)]
     if vehicles is not None:  # of a mixture, the component nearest to the other measurement counts
         found = Posterior.normal(vehicles.centre, vehicles.spread)
         pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
@@ -342,7 +350,7 @@ def _within_reach(
         counts = (modes.mean >= interval[0]) & (modes.mean <= interval[1])
         for other in evidence:
             if other.kind != e.kind and other.doubt <= STRONG:
-                mine, there = e.unlike(other)
+                mine, there = e.without_shared(other)
                 apart = np.abs(mine.mean[:, None] - there.mean) / np.hypot(mine.sd[:, None], there.sd)
                 counts |= (apart < SUPPORTS).any(1)
         if counts.any():

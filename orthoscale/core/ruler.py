@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pooling.observed import Confusion, Drawing
+from .pooling.observed import Confusion, Shrinkage
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Ruler:
     kinds_vehicles: float = 10.0
 
     @property
-    def drawing(self) -> Drawing:
+    def shrinkage(self) -> Shrinkage:
         """The detector's shrinkage, for `mixture`."""
-        return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
+        return Shrinkage(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
 
     @property
     def confusion(self) -> Confusion | None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from .linked import linked
+
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
@@ -15,7 +17,7 @@ LEAST_APART = 1.0
 USUAL_VIEWS = 4  # number of views to be expected of a parked vehicle from which a single view counts as a mistake
 # Share of the frames showing a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
 # (detect/weights/README.md). A parked vehicle that five frames show is then found in only one of them in 0.6 % of the
-# cases; what is moving, in a few more.
+# cases, a moving one more often.
 FOUND_IN = 0.8
 USUAL_NOISE = 0.05  # relative one sigma of a box that has no `sigma` of its own, besides `lasting`
 LEAST_NOISE = 1e-3  # least relative one sigma, for boxes that claim to have none
@@ -178,10 +180,7 @@ def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:
 
 def same_place(place: np.ndarray, reach: float) -> np.ndarray:
     """(M,) cluster number of each point: points linked by steps shorter than `reach`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(place).query_pairs(reach, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place), len(place)))
-    return connected_components(graph, directed=False)[1]
+    return linked(pairs[:, 0], pairs[:, 1], len(place))

@@ -299,7 +299,7 @@ class PhotoGeometry:
         """See `Geometry.observe`. For the uncertainty of attitude, lens and effective height, the boxes are measured
         again with each a little off."""
         ruler, seen = card_of(self.found), SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
-        size, by_body = ruler.told(seen)
+        size, by_body = ruler.size_and_sd(seen)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
         shared = {name: larger_by(ruler.size(replace(seen, views=v)), size) for name, v in self.off.items()}
@@ -332,7 +332,7 @@ def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoSc
     except TooLittleEvidence as error:
         hint = error.hint or "Give photos that show more vehicles, or pool those of one altitude with --together."
         raise TooLittleEvidence(error.message, hint) from error
-    return _assembled(photos[0], got.scale, got.found.shared, got.boxes, got.picture, 1.0)
+    return _assembled(photos[0], got.scale, got.findings.shared, got.boxes, got.picture, 1.0)
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:

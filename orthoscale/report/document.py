@@ -205,7 +205,7 @@ def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
 def _of_posed(measured: Measurement) -> dict[str, Any]:
     """The parts that only reconstructions have: the self-calibration, the measuring modes, and how these agree."""
     values: dict[str, Any] = {}
-    if (own := measured.found.calibration) is not None:
+    if (own := measured.findings.calibration) is not None:
         values["calibration"] = {**own.ruler.document(own.card), "trends": own.trends}
     if measured.modes:
         values["modes"] = {
@@ -262,10 +262,10 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         "trend": None
         if drift.trend is None
         else {
-            "percent_across": drift.trend.percent_across,
-            "chance": drift.trend.chance,
-            "percent_bent": drift.trend.percent_bent,
-            "bend_chance": drift.trend.bend_chance,
+            "percent_across": 100 * drift.trend.tilt,
+            "chance": drift.trend.p_tilt,
+            "percent_bent": 100 * drift.trend.bend,
+            "bend_chance": drift.trend.p_bend,
         },
         "drifts": drift.drifts,
     }

@@ -43,9 +43,9 @@ def cause(
         said = f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes"
         return Cause.OTHERS, said
     trend = trend_of(apart, plan, lots_sd=0.0)  # of the same vehicles
-    if trend is not None and trend.chance < CHANCE and trend.percent_across > 100 * NOTABLE:
+    if trend is not None and trend.p_tilt < CHANCE and trend.tilt > NOTABLE:
         return Cause.GROUND, (
-            f"the difference changes by {trend.percent_across:.0f} % across the model: the ground under the vehicles "
+            f"the difference changes by {100 * trend.tilt:.0f} % across the model: the ground under the vehicles "
             "is wrong, or the model is bent"
         )
     if calibration is not None and calibration.ruler.views:

@@ -1,4 +1,4 @@
-"""Drift of the scale across an orthophoto: a gradient of vehicle sizes where it is tilted, a bowl where it is bent."""
+"""Drift of the scale over a source: a gradient of vehicle sizes where it is tilted, a bowl where it is bent."""
 
 from __future__ import annotations
 
@@ -21,27 +21,20 @@ TO_MEND = "Straighten the input, measure its parts by themselves, or see whether
 
 
 @dataclass(frozen=True)
-class Drift:
-    """How the scale changes over one picture, relative to the whole picture's scale.
+class Trend:
+    """How the scale changes over a source, relative to its mean.
 
-    cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], number of vehicles, relative
-        deviation of the local scale, its one sigma, which includes the variation between lots. cell : (2,) its size
-        [px].
-    tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
-    direction : of that increase on the ground [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
-    bend : relative range of what a curvature adds to the plane.
+    tilt : the change from one end to the other, along the steepest direction. bend : how much a bowl or saddle adds to
+        that. A block that its self-calibration has bent shows a bowl, a long strip a bend along it. 0 for too few
+        vehicles.
     p_tilt, p_bend : p-values of the gradient, and of the curvature beside it: the probability of one as large as found
         if there were none.
     """
 
-    cells: np.ndarray = field(repr=False)
-    cell: tuple[float, float]
     tilt: float
-    tilt_sd: float
-    direction: float
     p_tilt: float
-    bend: float
-    p_bend: float
+    bend: float = 0.0
+    p_bend: float = 1.0
 
     @property
     def tilts(self) -> bool:
@@ -62,6 +55,23 @@ class Drift:
     def amplitude(self) -> float:
         """Relative difference of the scale between its extremes; 0 without a significant drift."""
         return float(np.hypot(self.tilt if self.tilts else 0.0, self.bend if self.bends else 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(Trend):
+    """The trend of the scale over one picture, and the map of it.
+
+    cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], number of vehicles, relative
+        deviation of the local scale, its one sigma, which includes the variation between lots. cell : (2,) its size
+        [px].
+    tilt_sd : one sigma of `tilt`. direction : in which the scale grows on the ground [rad], from +x, clockwise on
+        screen.
+    """
+
+    cells: np.ndarray = field(repr=False)
+    cell: tuple[float, float]
+    tilt_sd: float
+    direction: float
 
     @property
     def warnings(self) -> list[str]:

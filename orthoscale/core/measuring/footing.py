@@ -17,7 +17,7 @@ GROUND_SD = 0.01
 
 @dataclass(frozen=True)
 class Footing:
-    """The ground under M boxes of vehicles, as in `parallax.Standing`; without boxes, the surface below the sparse
+    """The ground under M boxes of vehicles, from `parallax.Standing`; without boxes, the surface below the sparse
     points.
 
     place : (M, 3) of the boxes on the ground [units, world]. lower : (M,) how far the ground lies below that surface
@@ -32,6 +32,11 @@ class Footing:
     shared: float = GROUND_SD
     uneven: float = 0.0
     reach: float = 1.0
+
+    @property
+    def alike(self) -> dict[str, np.ndarray]:
+        """The error of all lengths and widths that follows from `shared`, as in `Systematic.shared`."""
+        return {"ground": np.full(2, self.shared)}
 
     @cached_property
     def _tree(self) -> cKDTree:

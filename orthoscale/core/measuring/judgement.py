@@ -113,9 +113,9 @@ def _places(measured: Measurement) -> Judgement | None:
         figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % (90 %) from side to side"
         figures += f", bent by {percent(drift.bend)}" if drift.bends else ""
     elif isinstance(drift, ModelDrift) and drift.trend is not None:
-        change = drift.trend.percent_across / 100
-        figures = f"{drift.trend.percent_across:.1f} % from side to side"
-        figures += f", bent by {drift.trend.percent_bent:.1f} %" if drift.bends else ""
+        change = drift.trend.tilt
+        figures = f"{100 * drift.trend.tilt:.1f} % from side to side"
+        figures += f", bent by {100 * drift.trend.bend:.1f} %" if drift.trend.bends else ""
     elif drift is None and measured.modes:
         return None  # the planar measurement compares no places
     else:

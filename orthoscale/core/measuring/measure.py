@@ -64,7 +64,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         lost={**geometry.lost, NO_HULL: int((~solved).sum())},
         size=vehicles.size,
         projection=geometry.projection,
-        found=geometry.findings(seen, vehicles, scale),
+        findings=geometry.findings(seen, vehicles, scale),
         pooled=Pooled(seen.ruler, seen.systematic, vote_noise(votes, seen.ruler) / vehicles.size, more),
     )
 

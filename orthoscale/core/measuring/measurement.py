@@ -68,7 +68,7 @@ class Measurement:
 
     boxes : all M that were measured. picture : (M,) name of the picture of each. lost : number of boxes that never
     became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
-    projection : name of the projection used. found : further findings, besides the scale. pooled : the other inputs of
+    projection : name of the projection used. findings : what else the boxes show. pooled : the other inputs of
     pooling. modes : the measurement in each mode of a posed set, by its name; empty for other sources.
     agreement : of the two modes, where both were measured. notes : what could not be done.
     """
@@ -80,7 +80,7 @@ class Measurement:
     lost: dict[str, int]
     size: np.ndarray
     projection: str
-    found: Findings = field(default_factory=Findings)
+    findings: Findings = field(default_factory=Findings)
     pooled: Pooled = field(default_factory=Pooled)
     modes: Mapping[str, Measurement] = field(default_factory=dict)
     agreement: Agreement | None = None
@@ -94,7 +94,7 @@ class Measurement:
     @property
     def drift(self) -> Drift | ModelDrift | None:
         """How the scale changes from place to place; None where that was not measured, or with too few vehicles."""
-        return self.found.drift
+        return self.findings.drift
 
     @property
     def rejected_boxes(self) -> dict[str, int]:

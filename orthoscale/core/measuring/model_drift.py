@@ -14,7 +14,7 @@ import numpy as np
 from ..pooling.posterior import ROBUST_SD, of_median
 from ..scale import Scale
 from ..votes import Votes
-from .drift import CHANCE, NOTABLE
+from .drift import Trend
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
@@ -45,21 +45,6 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Trend:
-    """percent_across : by how much the scale changes from end to end [%]. chance : its p-value (F-test), the
-    probability of as much change without a trend.
-
-    percent_bent : how much a bowl or saddle adds to the plane [%]. bend_chance : its p-value. A block that its
-    self-calibration has bent shows a bowl, a long strip a bend along it. Not estimated for few vehicles.
-    """
-
-    percent_across: float
-    chance: float
-    percent_bent: float = 0.0
-    bend_chance: float = 1.0
-
-
-@dataclass(frozen=True)
 class ModelDrift:
     """How the scale changes within a model.
 
@@ -76,27 +61,12 @@ class ModelDrift:
     @property
     def drifts(self) -> bool:
         """Whether the trend is significant, and large enough to matter."""
-        return self.tilts or self.bends
-
-    @property
-    def tilts(self) -> bool:
-        """Whether the scale changes from end to end."""
-        trend = self.trend
-        return trend is not None and trend.chance < CHANCE / 2 and trend.percent_across >= 100 * NOTABLE
-
-    @property
-    def bends(self) -> bool:
-        """Whether it changes from the middle to the ends."""
-        trend = self.trend
-        return trend is not None and trend.bend_chance < CHANCE / 2 and trend.percent_bent >= 100 * NOTABLE
+        return self.trend is not None and self.trend.drifts
 
     @property
     def amplitude(self) -> float:
         """Relative difference of the scale between its extremes; 0 without a significant drift."""
-        if self.trend is None:
-            return 0.0
-        across, bent = self.trend.percent_across * self.tilts, self.trend.percent_bent * self.bends
-        return float(np.hypot(across, bent)) / 100
+        return 0.0 if self.trend is None else self.trend.amplitude
 
     @property
     def warnings(self) -> list[str]:
@@ -106,14 +76,14 @@ class ModelDrift:
             worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in self.odd[:5])
             who = "a frame disagrees" if len(self.odd) == 1 else f"{len(self.odd)} frames disagree"
             remarks.append(f"{who} with the others about the same vehicles: {worst}")
-        if self.trend is not None and self.tilts:
+        if self.trend is not None and self.trend.tilts:
             remarks.append(
-                f"the scale changes by {self.trend.percent_across:.0f} % across the model: it may be bent, or its "
+                f"the scale changes by {100 * self.trend.tilt:.0f} % across the model: it may be bent, or its "
                 "vehicles differ from place to place"
             )
-        if self.trend is not None and self.bends:
+        if self.trend is not None and self.trend.bends:
             remarks.append(
-                f"the scale changes by {self.trend.percent_bent:.0f} % from the model's middle to its ends, as in a "
+                f"the scale changes by {100 * self.trend.bend:.0f} % from the model's middle to its ends, as in a "
                 "bowl: it may be bent, or its vehicles differ from place to place"
             )
         return remarks
@@ -188,7 +158,7 @@ def trend_of(
     [units]; None for too few vehicles.
 
     The p-values are those of F-tests against no trend, and against the plane alone. Lots of vehicles are taken to vary
-    by `lots_sd`, one sigma (`surface`). The percentages are the change between the extremes over the vehicles.
+    by `lots_sd`, one sigma (`surface`). Tilt and bend are the change between the extremes over the vehicles.
     """
     if len(plan) < MIN_FOR_TREND:
         return None
@@ -203,8 +173,8 @@ def trend_of(
 
     flat = SurfaceFit.of(np.ones((len(cells.mean), 1)), cells.mean, covariance)
     tilted, across = fitted(plane)
-    trend = Trend(100 * float(np.ptp(across)), tilted.p_against(flat))
+    trend = Trend(float(np.ptp(across)), tilted.p_against(flat))
     if len(plan) < MIN_FOR_BOWL:
         return trend
     bent, curved = fitted(bowl)
-    return replace(trend, percent_bent=100 * float(np.ptp(curved - across)), bend_chance=bent.p_against(tilted))
+    return replace(trend, bend=float(np.ptp(curved - across)), p_bend=bent.p_against(tilted))

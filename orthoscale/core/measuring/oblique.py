@@ -21,7 +21,7 @@ from ..pooling.robust import MIN_VEHICLES
 from ..projection import decoupled
 from ..projection.exact import BODIES, FLAT, Hull, ground_size
 from ..projection.height import lean
-from ..projection.own_ruler import OwnRuler, SeenBoxes
+from ..projection.own_ruler import HEIGHT, MARGIN, SHAPE, OwnRuler, SeenBoxes
 from ..projection.self_calibration import self_calibrated, trends
 from ..projection.view import LOWEST_ELEVATION, Views
 from ..scale import Scale
@@ -34,7 +34,7 @@ from .measure import doubts
 from .measurement import Findings, SelfCalibration
 from .method import VARIANTS_BY_NAME, Method
 from .model_drift import model_drift
-from .parallax import Standing, standing_in_model
+from .parallax import standing_in_model
 from .surroundings import Standards, objects_in_model, rows_in_model, world_axes
 from .systematic import of_height
 
@@ -55,8 +55,7 @@ class FramesGeometry:
     """The `Geometry` of boxes in frames, each with its own camera: the part common to all projections.
 
     source : of the frames. found : all detections in them. views : of the boxes, on the ground on which the vehicles
-    stand. stands : how far this lies below the surface by the sparse points. footing : the same for everything else
-    that is measured on the ground.
+    stand. footing : that ground, for the vehicles and for everything else that is measured on it.
     """
 
     source: PosedSet
@@ -66,7 +65,6 @@ class FramesGeometry:
     picture: np.ndarray
     views: Views
     lost: Mapping[str, int]
-    stands: Standing
     footing: Footing
     projection: str = "exact"
     called: str = CALLED_IN_FRAMES
@@ -95,9 +93,9 @@ class FramesGeometry:
             raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
         sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
-        stands, footing = standing_in_model(source, np.array(names), place, sides)
-        view = replace(view, ground=view.ground * (1 + stands.lower)[:, None]).with_focal(source.focal.ratio)
-        seen = (source, found, fleet, boxes, np.array(names), view, lost, stands, footing)
+        footing = standing_in_model(source, np.array(names), place, sides)
+        view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)
+        seen = (source, found, fleet, boxes, np.array(names), view, lost, footing)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
         return OtherGeometry(*seen, projection=method.projection)
@@ -185,18 +183,23 @@ class ExactGeometry(FramesGeometry):
         solved = np.isfinite(size).all(1)
         if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that they may be nothing but margin
             return Observation(np.full_like(size, np.nan), known)
-        by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
+        sd = ruler.relative_sd(size[solved], slopes[solved])
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
-        margin_sd = by_margin / per_pixel
+        margin_sd = sd[:, MARGIN] / per_pixel
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # already off
-        by_body = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
-        shared = self.stands.alike
-        if self.source.focal.sd:
-            longer = ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
-            shared = {**shared, "focal length": larger_by(longer, size)}
+        by_body = np.sqrt(sd[:, HEIGHT] ** 2 + np.square(sd[:, SHAPE]).sum(1))
         left_of_card = ruler.left_of_height(self.card, size[solved], slopes[solved])
-        lasting = of_each_view(self.stands.each, self.leaning, size * metres_per_unit)
-        return Observation(size, left, of_height(by_body, left_of_card).and_shared(shared), lasting)
+        systematic = of_height(by_body, left_of_card).and_shared(self._shared(seen, size))
+        lasting = of_each_view(self.footing.each, self.leaning, size * metres_per_unit)
+        return Observation(size, left, systematic, lasting)
+
+    def _shared(self, seen: SeenBoxes, size: np.ndarray) -> dict[str, np.ndarray]:
+        """The errors from the ground and the focal length, as in `Systematic.shared`. size : (M, 2) of the boxes `seen`
+        [units]."""
+        if not self.source.focal.sd:
+            return self.footing.alike
+        longer = self._ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
+        return {**self.footing.alike, "focal length": larger_by(longer, size)}
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """The same with the ruler by which vehicles have the same size in all their views."""
@@ -224,8 +227,8 @@ class OtherGeometry(FramesGeometry):
             size = decoupled.ground_size(self.boxes, self.views, (length, width, height), variant)
         ok = np.isfinite(size).all(1)
         by_height = of_height(height_share(size[ok], self.leaning[ok], HEIGHT_SD / metres_per_unit))
-        lasting = of_each_view(self.stands.each, self.leaning, size * metres_per_unit)
-        return Observation(size, self.found.ruler, by_height.and_shared(self.stands.alike), lasting)
+        lasting = of_each_view(self.footing.each, self.leaning, size * metres_per_unit)
+        return Observation(size, self.found.ruler, by_height.and_shared(self.footing.alike), lasting)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""

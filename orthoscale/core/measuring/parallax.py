@@ -65,16 +65,9 @@ class Standing:
         """(M,) the part of `sd` that is not common to all boxes."""
         return np.sqrt(np.maximum(self.sd**2 - self.shared**2, 0.0))
 
-    @property
-    def alike(self) -> dict[str, np.ndarray]:
-        """The error of all lengths and widths that follows from `shared`, as in `Systematic.shared`."""
-        return {"ground": np.full(2, self.shared)}
 
-
-def standing_in_model(
-    source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray
-) -> tuple[Standing, Footing]:
-    """The ground under M boxes; and the same as a `Footing`, whose `place` are the boxes' places on that ground.
+def standing_in_model(source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray) -> Footing:
+    """The ground under M boxes, with the boxes' places on it.
 
     picture : (M,) name of the frame of each. place : (M, 3) where the ray through its centre meets the ground of
     `source`. size : (2,) typical length and width of a vehicle [units].
@@ -87,7 +80,7 @@ def standing_in_model(
     stands = standing(plane, foot, above, picture, (float(size[0]), float(size[1])), ground.sd(place))
     place = centre + (place - centre) * (1 + stands.lower)[:, None]
     uneven, reach = np.sqrt(stands.trees) * UNEVEN, ALIKE_WITHIN * float(np.median(above))
-    return stands, Footing(place, stands.lower, stands.each, stands.shared, uneven, reach)
+    return Footing(place, stands.lower, stands.each, stands.shared, uneven, reach)
 
 
 def standing(

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..anchors import BAYS, Anchor, AnchorVote, Standard
 from ..fleet import WORLD
+from ..linked import linked
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row have the same heading, or the opposite one
 ASKEW = 0.25  # of a length: how far one neighbour may stand ahead of the other
@@ -118,8 +119,6 @@ def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarra
 
 def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of vehicles in one row: (P, 3) number of the row and the two vehicles, and (P,) distance across [units]."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # Of vehicles at exactly the same place one is kept; the tree could not tell them apart.
@@ -134,8 +133,7 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
         parts.append(_side_by_side(i[pair], single[j[np.isfinite(near)]], place, along, length))
     i, j, across = (np.concatenate(column) for column in zip(*parts, strict=True))
     near = across < PITCHES[1] * width
-    graph = coo_array((np.ones(near.sum()), (i[near], j[near])), shape=(len(place), len(place)))
-    row = connected_components(graph, directed=False)[1]
+    row = linked(i[near], j[near], len(place))
     kept = (row[i] == row[j]) & (np.bincount(row)[row[i]] >= MIN_ROW)
     return np.stack([row[i], i, j], -1)[kept], across[kept]
 

@@ -28,7 +28,7 @@ from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings
 from .oblique import card_of, of_each_view
-from .parallax import Standing, standing_in_model
+from .parallax import standing_in_model
 from .surroundings import Standards, rows_in_model
 from .systematic import of_height
 
@@ -51,7 +51,7 @@ class SweepGeometry:
     flat : (M, 2) sides of the boxes on the ground [model units]. offset : (M, 2) from the point below the camera to the
     box, along its long and its short side, in camera heights. camera : (M, 1) that height over the ground [model
     units]. along : (M, 3) unit vectors along the long sides, in world coordinates. focal_sd : relative one-sigma of the
-    focal length. stands : the ground under the boxes. footing : the same for everything else that is measured on it.
+    focal length. footing : the ground under the boxes, for them and for everything else that is measured on it.
     """
 
     source: PosedSet
@@ -64,7 +64,6 @@ class SweepGeometry:
     offset: np.ndarray
     camera: np.ndarray
     focal_sd: float
-    stands: Standing
     footing: Footing
     lost: Mapping[str, int]
     projection: str = "exact"
@@ -100,8 +99,8 @@ class SweepGeometry:
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
         flat = ground_size(boxes) * unit_per_pixel
         images = np.array([pictures[name].image for name in names])
-        stands, footing = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
-        farther = (1 + stands.lower)[:, None]
+        footing = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
+        farther = (1 + footing.lower)[:, None]
         return cls(
             source=source,
             found=found,
@@ -113,7 +112,6 @@ class SweepGeometry:
             offset=_along(boxes, np.concatenate(offsets)) / source.focal.ratio,
             camera=camera[:, None] * farther * source.focal.ratio,
             focal_sd=source.focal.sd,
-            stands=stands,
             footing=footing,
             lost=lost,
         )
@@ -136,13 +134,13 @@ class SweepGeometry:
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes of the boxes, less the part due to the vehicles' height."""
         ruler = card_of(self.found)
-        size, by_body = ruler.told(self._seen(metres_per_unit))
+        size, by_body = ruler.size_and_sd(self._seen(metres_per_unit))
         by_focal = {}
         if self.focal_sd:
             longer = ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))
             by_focal["focal length"] = larger_by(longer, size)
-        systematic = of_height(by_body).and_shared({**self.stands.alike, **by_focal})
-        lasting = of_each_view(self.stands.each, np.abs(self.offset), size * metres_per_unit)
+        systematic = of_height(by_body).and_shared({**self.footing.alike, **by_focal})
+        lasting = of_each_view(self.footing.each, np.abs(self.offset), size * metres_per_unit)
         return Observation(size, self.found.ruler, systematic, lasting)
 
     def _seen(self, metres_per_unit: float, ratio: float = 1.0) -> SeenBoxes:

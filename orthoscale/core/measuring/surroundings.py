@@ -104,21 +104,10 @@ def objects_in_model(
     """
     found = []
     for kind, standards in known.objects.items():
-        parts, views, places = [], [], []
-        for name, kinds in objects.items():
-            boxes = kinds.get(kind, Boxes.empty())
-            last = np.subtract(source.image_size(name), CLEAR_OF_BORDER)
-            boxes = boxes[np.flatnonzero(((boxes.corners >= CLEAR_OF_BORDER) & (boxes.corners <= last)).all((1, 2)))]
-            if not len(boxes):
-                continue
-            view, place, ok = source.views(name, boxes.centre)
-            farther = 1 + footing.at(place)[0][:, None]
-            parts.append(boxes[ok])
-            views.append(replace(view, ground=view.ground * farther)[ok])
-            places.append((source.centre(name) + (place - source.centre(name)) * farther)[ok])
-        if not sum(map(len, parts)):
+        each = {name: kinds[kind] for name, kinds in objects.items() if kind in kinds}
+        if (seen := _on_the_ground(source, each, footing)) is None:
             continue
-        boxes, view, place = Boxes.concatenate(parts), Views.concatenate(views), np.concatenate(places)
+        boxes, view, place = seen
         tall = max(s["height"][0] if "height" in s else FLAT for s in standards)
         by_height = [
             _objects(kind, standards, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)
@@ -134,6 +123,27 @@ def objects_in_model(
         for vote in middle:
             found.append(_on_ground(vote, footing, unsure))
     return found
+
+
+def _on_the_ground(
+    source: PosedSet, each: Mapping[str, Boxes], footing: Footing
+) -> tuple[Boxes, Views, np.ndarray] | None:
+    """The boxes of `each` frame that show whole objects on the ground of `footing`, their views and their places (N, 3)
+    [source units]; None if there are none."""
+    parts, views, places = [], [], []
+    for name, boxes in each.items():
+        last = np.subtract(source.image_size(name), CLEAR_OF_BORDER)
+        boxes = boxes[np.flatnonzero(((boxes.corners >= CLEAR_OF_BORDER) & (boxes.corners <= last)).all((1, 2)))]
+        if not len(boxes):
+            continue
+        view, place, ok = source.views(name, boxes.centre)
+        farther = 1 + footing.at(place)[0][:, None]
+        parts.append(boxes[ok])
+        views.append(replace(view, ground=view.ground * farther)[ok])
+        places.append((source.centre(name) + (place - source.centre(name)) * farther)[ok])
+    if not sum(map(len, parts)):
+        return None
+    return Boxes.concatenate(parts), Views.concatenate(views), np.concatenate(places)
 
 
 def _on_ground(vote: AnchorVote, footing: Footing, unsure: float = 0.0) -> AnchorVote:

@@ -144,20 +144,10 @@ def together(agreement: Agreement) -> Scale:
     Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
     same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
     uncertainties is attributed to the mix of vehicles (DerSimonian and Laird 1986).
-
-    Two that contradict each other are not averaged: the more certain one gives the value, and the interval covers both,
-    as with other evidence (`core.evidence`).
     """
-    a, b = agreement.scales.values()
-    both = {name: scale.value for name, scale in agreement.scales.items()}
     if (name := alone(agreement)) is not None:
-        stands = agreement.scales[name]
-        stands = replace(stands, checks=stands.checks | both, remarks=_named(agreement.scales, name))
-        if stands.conflict:
-            return stands
-        low, high = min(s.interval90[0] for s in (a, b)), max(s.interval90[1] for s in (a, b))
-        spread = max(float(np.log(high / low)) / (2 * Z90), stands.relative_sd)
-        return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE)
+        return _one_alone(agreement, name)
+    a, b = agreement.scales.values()
     own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
@@ -177,10 +167,28 @@ def together(agreement: Agreement) -> Scale:
         tension=tension,
         verdict=verdict(support.judged(sd), tension > CHECK_LIMIT, conflict=False, doubted=doubted),
         remarks=tuple(dict.fromkeys(remark for name in agreement.scales for remark in _named(agreement.scales, name))),
-        checks=a.checks | both,
+        checks=a.checks | _values(agreement),
         evidence=a.evidence or b.evidence,
         support=support,
     )
+
+
+def _one_alone(agreement: Agreement, name: str) -> Scale:
+    """The scale `name` alone. Unless other evidence contradicts it, this is because the two contradict each other: then
+    they are not averaged, and the interval covers both, as with other evidence (`core.evidence`)."""
+    stands = agreement.scales[name]
+    stands = replace(stands, checks=stands.checks | _values(agreement), remarks=_named(agreement.scales, name))
+    if stands.conflict:
+        return stands
+    ends = [scale.interval90 for scale in agreement.scales.values()]
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+    spread = max(float(np.log(high / low)) / (2 * Z90), stands.relative_sd)
+    return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE)
+
+
+def _values(agreement: Agreement) -> dict[str, float]:
+    """The values of both scales, by name."""
+    return {name: scale.value for name, scale in agreement.scales.items()}
 
 
 def _named(scales: dict[str, Scale], name: str) -> tuple[Remark, ...]:

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .observed import FAITHFUL, Confusion, Drawing, Seen
-from .problem import UNKNOWNS, Hypotheses, Mix, Problem, levels, members
+from .observed import FAITHFUL, Confusion, Seen, Shrinkage
+from .problem import OF_SHRINKAGE, SCALES, UNKNOWNS, Hypotheses, Mix, Problem, levels, members
 from .solver import believed_share, solve
 
 SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # half width of the grid about the votes' median, its two steps [log scale]
@@ -49,7 +49,7 @@ class Fits:
     log_scale : (V, 2) by lengths and by widths.
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
     of_known : (2, 2) the same if the class of each vote were known.
-    drawing : (2, 2) what the detector's unknown shrinkage adds to `covariance`.
+    of_shrinkage : (2, 2) what the detector's unknown shrinkage adds to `covariance`.
     chance : variance of the scale between samples of as many vehicles [log scale]: more of them would reduce it.
     member : (K + 1, N) probability of each class over all scales, LARGER last; the rest, to a sum of one, is that of
         a lorry, a partly hidden vehicle or no vehicle.
@@ -60,26 +60,26 @@ class Fits:
     log_scale: np.ndarray
     covariance: np.ndarray
     of_known: np.ndarray
-    drawing: np.ndarray
+    of_shrinkage: np.ndarray
     chance: float
     member: np.ndarray
 
 
 def fit(
-    seen: Seen, mixes: Sequence[Mix], drawing: Drawing = FAITHFUL, confusion: Confusion | None = None
+    seen: Seen, mixes: Sequence[Mix], shrinkage: Shrinkage = FAITHFUL, confusion: Confusion | None = None
 ) -> list[Fits | None]:
     """For each of `mixes`, its fits to the vehicles that are `seen`; None where no vote supports any class.
 
     Lengths and widths have a scale each, because fleet, margin and geometry may be off. `Mix.systematic` limits how far
     the two may differ, which holds the vehicles to the shape of their class. The grid is over their sum, weighted by
     `Mix.weights`; `solver` fits the mix at each of its scales.
-    `drawing` is the detector's shrinkage. `confusion` is how it confuses kinds; needed where kinds are seen.
+    `shrinkage` is the detector's. `confusion` is how it confuses kinds; needed where kinds are seen.
     """
     out: list[Fits | None] = [None] * len(mixes)
     # Mixes of equally many classes are solved together: one by one, the overhead of numpy's calls would dominate.
     for number in {len(mix.classes) for mix in mixes}:
         alike = [k for k, mix in enumerate(mixes) if len(mix.classes) == number]
-        problems = [Problem.of(seen, mixes[k], drawing, confusion) for k in alike]
+        problems = [Problem.of(seen, mixes[k], shrinkage, confusion) for k in alike]
         for k, problem, solved in zip(alike, problems, _possible(problems), strict=True):
             with suppress(np.linalg.LinAlgError):
                 out[k] = _fits(problem, solved)
@@ -101,7 +101,7 @@ def _possible(problems: Sequence[Problem]) -> list[Hypotheses]:
 
 def _finer(problem: Problem, solved: Hypotheses) -> np.ndarray:
     """A grid of step FINE about the possible scales of a coarse grid."""
-    coarse = solved.unknown[solved.possible, :2] @ problem.weights
+    coarse = solved.unknown[solved.possible, SCALES] @ problem.weights
     fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE + FINE, FINE)
     # The outermost lie a coarse step away: rounding errors, and so the unit of sizes, must not decide on them.
     return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE + FINE / 100]
@@ -114,16 +114,16 @@ def _fits(problem: Problem, solved: Hypotheses) -> Fits:
     evidence = best + float(np.log(np.exp(solved.log_probability - best).sum() * FINE))
     each = _normalised(solved.log_probability + _bags(most, solved))
     weight = each.mean(0)
-    means = each @ (solved.unknown[:, :2] @ problem.weights)
+    means = each @ (solved.unknown[:, SCALES] @ problem.weights)
     likeliest = int(np.argmax(solved.log_probability))
     covariance, known, of_known = _covariances(most, solved, likeliest)
     return Fits(
         weight=weight,
         log_evidence=evidence,
-        log_scale=solved.unknown[:, :2],
+        log_scale=solved.unknown[:, SCALES],
         covariance=known,
         of_known=of_known,
-        drawing=covariance - known,
+        of_shrinkage=covariance - known,
         chance=BAG * float(means.var()),
         member=_classes_of(problem, solved, weight),
     )
@@ -150,7 +150,7 @@ def _bags(problem: Problem, solved: Hypotheses) -> np.ndarray:
     believed = believed_share(apart.shape[1])
     variance, axes = np.linalg.eigh(apart @ apart.T * believed**2 / BAG)
     variance, axes = variance[-BAG_AXES:][::-1], axes[:, -BAG_AXES:][:, ::-1]
-    towards = np.where(solved.unknown[:, :2].sum(1) @ (axes - axes.mean(0)) < 0, -1, 1)
+    towards = np.where(solved.unknown[:, SCALES].sum(1) @ (axes - axes.mean(0)) < 0, -1, 1)
     drawn = np.random.default_rng(0).standard_normal((BAG_AXES, BAGS // 2))[: len(variance)].T
     moved = drawn @ (axes * towards * np.sqrt(np.maximum(variance, 0))).T
     return np.vstack([moved, -moved])
@@ -179,7 +179,7 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     information = np.einsum("kn,knij->kij", p, problem.inverse)
     whole[:UNKNOWNS, :UNKNOWNS] = np.einsum("kiu,kij,kjw->uw", problem.turn, information, problem.turn) + problem.prior
     whole[UNKNOWNS:, UNKNOWNS:] = counts.sum() * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(many)
-    without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
+    without = np.delete(np.arange(len(whole)), OF_SHRINKAGE)
     less, less_lost = whole[np.ix_(without, without)], lost[np.ix_(without, without)]
     return _of_scales(whole, lost), _of_scales(less, less_lost), _of_scales(less, np.zeros_like(less))
 
@@ -197,5 +197,5 @@ def _of_scales(whole: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """
     root = np.linalg.cholesky(np.linalg.inv(whole))
     kept, axes = np.linalg.eigh(np.eye(len(whole)) - root.T @ lost @ root)
-    half = root[:2] @ axes / np.sqrt(np.maximum(kept, LEAST_KEPT))
+    half = root[SCALES] @ axes / np.sqrt(np.maximum(kept, LEAST_KEPT))
     return half @ half.T

@@ -1,7 +1,7 @@
 """What is seen of vehicles, and how a detector distorts it: sizes shrink towards the usual one, kinds are confused.
 
 Detectors draw every vehicle a little like the usual one that they expect: small ones too large, large ones too small.
-So the sizes of classes are shrunk in the same way before they are compared with boxes (`Drawing`). How strongly the
+So the sizes of classes are shrunk in the same way before they are compared with boxes (`Shrinkage`). How strongly the
 detector shrinks is one more unknown: classes of distinct sizes (kei and ordinary cars) determine it.
 
 What vehicles are called (car, pickup, van, larger) tells classes apart that sizes confuse: a street of pickups from one
@@ -26,7 +26,7 @@ CALLED_ANYTHING = 0.02
 
 
 @dataclass(frozen=True)
-class Drawing:
+class Shrinkage:
     """A detector's shrinkage: log box = log vehicle + share * (log usual - log vehicle), and then the margin.
 
     share : (2,) of length and width, 0 for a faithful detector. share_sd : (2,) one sigma; the errors of the two are
@@ -51,7 +51,7 @@ class Drawing:
         return self.share_sd * (np.log(self.usual) - part.log_mean)
 
 
-FAITHFUL = Drawing(np.zeros(2), np.zeros(2), np.ones(2))
+FAITHFUL = Shrinkage(np.zeros(2), np.zeros(2), np.ones(2))
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,14 @@ from .beside_fleet import (
     left_out,
     partly_hidden,
 )
-from .observed import Confusion, Drawing, Seen
+from .observed import Confusion, Seen, Shrinkage
 
 IMPOSSIBLE = 9.0  # how far below the best log probability a scale is not tried again
-UNKNOWNS = 5
+UNKNOWNS = 5  # in this order: those of `Problem`
+SCALES, OF_LARGER, OF_SHRINKAGE = slice(2), slice(2, 4), 4  # where each of them stands
+# Columns of `Problem.table` and of its `coefficients`: the inverse covariance of a vote (of lengths, of both, of
+# widths), the same times its gap (lengths, widths), ones, from CALLED on what it is called, and last the log density.
+I_LL, I_LW, I_WW, PULL_L, PULL_W, COUNTED, CALLED = range(7)
 
 
 @dataclass(frozen=True)
@@ -97,27 +101,28 @@ class Problem:
     class_called: np.ndarray
 
     @classmethod
-    def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> Problem:
+    def of(cls, seen: Seen, mix: Mix, shrinkage: Shrinkage, confusion: Confusion | None) -> Problem:
         """The problem of the vehicles `seen` and one fleet; see `mixture.fit`."""
         log_size, classes, weights = seen.log_size, mix.classes, mix.weights
         every = [*classes, LARGER, LORRIES, partly_hidden(classes)]
-        means = np.array([drawing.log_mean(c) for c in every])
+        means = np.array([shrinkage.log_mean(c) for c in every])
         # A box's relative noise is taken of the size that its vehicle should have, not of the measured size: else boxes
         # that came out large by chance would count for more. A rough scale is enough for that.
         rough = np.median(np.median(means[: len(classes)], axis=0) - log_size, axis=0)
         noise = (seen.noise / np.exp(means - rough)[:, None]) ** 2
-        spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
+        spread = np.array([shrinkage.covariance(c.log_covariance) for c in every])[:, None]
+        spread = spread + noise[..., None] * np.eye(2)
         tie = np.linalg.inv(mix.systematic)  # ties the two scales to each other, and leaves what they share free
         tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
         turn = np.zeros((len(every), 2, UNKNOWNS))
-        turn[:, :, :2] = np.eye(2)
-        turn[len(classes), :, 2:4] = -np.eye(2)
-        turn[:, :, 4] = [-drawing.slope(c) for c in every]
+        turn[:, :, SCALES] = np.eye(2)
+        turn[len(classes), :, OF_LARGER] = -np.eye(2)
+        turn[:, :, OF_SHRINKAGE] = [-shrinkage.slope(c) for c in every]
         prior = np.zeros((UNKNOWNS, UNKNOWNS))
-        prior[:2, :2], prior[4, 4] = tie, 1.0
-        prior[2:4, 2:4] = np.linalg.inv(drawing.covariance(LARGER.log_covariance))
+        prior[SCALES, SCALES], prior[OF_SHRINKAGE, OF_SHRINKAGE] = tie, 1.0
+        prior[OF_LARGER, OF_LARGER] = np.linalg.inv(shrinkage.covariance(LARGER.log_covariance))
         basis = np.zeros((UNKNOWNS, UNKNOWNS - 1))
-        basis[:2, 0] = weights[1], -weights[0]
+        basis[SCALES, 0] = weights[1], -weights[0]
         basis[2:, 1:] = np.eye(UNKNOWNS - 2)
         return cls(
             # Noise lowers a logarithm's mean by half its variance.
@@ -150,7 +155,7 @@ class Problem:
         """Hypotheses for the log scales of `grid` (V,), each once for each of `place`, with the country's mix."""
         likely = np.repeat([kind.probability for kind in self.place], len(grid))
         unknown = np.zeros((len(likely), UNKNOWNS))
-        unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
+        unknown[:, SCALES] = np.tile(grid, len(self.place))[:, None]
         lorries, hidden = (LORRIES_SHARE, LORRIES_VEHICLES), (HIDDEN_SHARE, HIDDEN_VEHICLES)
         every = []
         for kind in self.place:
@@ -163,9 +168,9 @@ class Problem:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(K + 3, N, 7 + J) features of each vote: the log density of a class is linear in these, with `coefficients`
-        that are quadratic in how far the unknowns move the class. Newton's steps are made from the first six; the next
-        J say what the vote is called."""
+        """(K + 3, N, CALLED + J + 1) features of each vote: the log density of a class is linear in these, with
+        `coefficients` that are quadratic in how far the unknowns move the class. The last column is the log density of
+        a class that they do not move."""
         i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
         g0, g1 = self.gap[..., 0], self.gap[..., 1]
         b0, b1 = i00 * g0 + i01 * g1, i01 * g0 + i11 * g1
@@ -181,8 +186,8 @@ class Problem:
 
 
 def coefficients(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 3, V, 7 + J) coefficients of `Problem.table` for hypotheses with `unknown` (V, UNKNOWNS), `counts` (V, C)
-    and `turn` (V, K + 3, 2, UNKNOWNS), that of each one's fleet; and (V,) the density of outliers."""
+    """(K + 3, V, CALLED + J + 1) coefficients of `Problem.table` for hypotheses with `unknown` (V, UNKNOWNS), `counts`
+    (V, C) and `turn` (V, K + 3, 2, UNKNOWNS), that of each one's fleet; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
     log_share, *rest = (
         (digamma(level) - digamma(level.sum(1, keepdims=True))).T
@@ -194,7 +199,7 @@ def coefficients(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> t
     log_share, none = log_share[:-1], log_share[-1]
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
     if called:  # relative to what outliers are called
-        along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
+        along[CALLED:CALLED] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
     return np.stack(along, -1), OUTLIER_DENSITY * np.exp(none)
 
 

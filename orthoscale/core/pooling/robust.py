@@ -30,7 +30,7 @@ from ..votes import Votes
 from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
-from .observed import Confusion, Drawing, Seen
+from .observed import Confusion, Seen, Shrinkage
 from .posterior import Posterior, of_median
 from .problem import Mix
 
@@ -202,12 +202,11 @@ def _of_candidates(
     as uncertainty of the fleet.
     """
     candidates, count = fleet.candidates or (fleet,), len(seen)
-    prior = np.array(fleet.prior or (1.0,))
 
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
         """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
-        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.drawing, ruler.confusion)
+        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.shrinkage, ruler.confusion)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
         if not out:
             raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
@@ -215,32 +214,44 @@ def _of_candidates(
 
     if len(candidates) == 1:
         return tried([0], count)[0], {candidates[0].code: 1.0}
+    prior = np.array(fleet.prior)
     if ruler.confusion and seen.called.size:
         prior = prior * country_likelihoods(seen.called, candidates, prior, ruler.confusion)
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
     full = tried(several, count) if count > FEW else {k: each[k] for k in several}
-    # The shift of the likeliest fleets' scales from FEW to all votes is applied to every fleet. One fleet alone would
-    # give it too badly: its posterior may have two modes, of which all votes choose the other.
-    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
-    scales = {candidates[k].code: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
-    suits = country_agreement(telling, scales)
-    total = sum(p * suits[candidates[k].code] for k, p in probability.items())
-    probability = {k: p * suits[candidates[k].code] / total for k, p in probability.items()}
+    scales = _by_all_votes(each, full)
+    probability = _given_anchors(probability, {k: candidates[k].code for k in scales}, scales, telling)
     best = full[max(full, key=probability.__getitem__)]  # all votes may be impossible for the likeliest one
-    posterior = Posterior.mixed(list(scales.values()), np.array(list(probability.values())))
+    fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
+    return _mixture(best, scales, probability), fleets
+
+
+def _by_all_votes(each: Mapping[int, _Vehicles], full: Mapping[int, _Vehicles]) -> dict[int, Posterior]:
+    """The scale under each candidate by all votes, where `each` is by FEW of them and `full`, for the likeliest
+    candidates only, by all.
+
+    The median shift of the likeliest fleets' scales from FEW to all votes is applied to every fleet. One fleet alone
+    would give it too badly: its posterior may have two modes, of which all votes choose the other.
+    """
+    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
+    return {k: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
+
+
+def _mixture(best: _Vehicles, scales: Mapping[int, Posterior], probability: Mapping[int, float]) -> _Vehicles:
+    """`best`, with the posterior of all candidates, given the scale under each and its probability."""
+    posterior = Posterior.mixed(list(scales.values()), np.array([probability[k] for k in scales]))
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
-    fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
-    return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
+    return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider})
 
 
 def _of_fleets(
     seen: Seen,
     fleets: Sequence[Fleet],
     known: Mapping[str, np.ndarray],
-    drawing: Drawing,
+    shrinkage: Shrinkage,
     confusion: Confusion | None,
 ) -> list[_Vehicles | None]:
     """The scale by the vehicles `seen` under each of `fleets`, None where they cannot be of it. known : by part of the
@@ -248,12 +259,12 @@ def _of_fleets(
     every, mixes = [], []
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
-        shared = {"fleet": drawing.covariance(fleet.class_mean_covariance(classes)), **known}
+        shared = {"fleet": shrinkage.covariance(fleet.class_mean_covariance(classes)), **known}
         systematic = _believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
         # Weights by the common errors alone: the fit ties the two scales by these, and so contains the votes' scatter.
         mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))
-    found = fit(seen, mixes, drawing, confusion)
+    found = fit(seen, mixes, shrinkage, confusion)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
         for fits, mix, shared in zip(found, mixes, every, strict=True)
@@ -276,9 +287,9 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
     variance = posterior.spread**2
     rest = variance - sum(v**2 for v in parts.values())
     sampling = min(max(float(weights @ fits.covariance @ weights), fits.chance), rest)
-    drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
-    parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
-    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
+    by_shrinkage = float(np.clip(weights @ fits.of_shrinkage @ weights, 0, rest - sampling))
+    parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(by_shrinkage)))
+    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - by_shrinkage)))
     # The prior ties the scales by lengths and by widths, so the fit has brought them nearer to each other: the
     # variance of their fitted difference is the prior variance minus the posterior one.
     apart = np.array([1.0, -1.0])
@@ -306,6 +317,19 @@ def _probabilities(each: Mapping[int, _Vehicles], prior: np.ndarray) -> dict[int
     log = np.array([v.log_evidence for v in each.values()])
     likelihood = prior[list(each)] * np.exp(SHAPES_TOLD * (log - log.max()))
     return dict(zip(each, (likelihood / likelihood.sum()).tolist(), strict=True))
+
+
+def _given_anchors(
+    probability: Mapping[int, float],
+    codes: Mapping[int, str],
+    scales: Mapping[int, Posterior],
+    telling: Sequence[AnchorVote],
+) -> dict[int, float]:
+    """The probability of each fleet given the anchors that tell the country as well. codes : the fleets' codes. scales
+    : by the vehicles of each."""
+    suits = country_agreement(telling, {codes[k]: scale for k, scale in scales.items()})
+    total = sum(p * suits[codes[k]] for k, p in probability.items())
+    return {k: p * suits[codes[k]] / total for k, p in probability.items()}
 
 
 def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:

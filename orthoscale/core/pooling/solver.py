@@ -13,7 +13,22 @@ from itertools import chain
 import numpy as np
 from scipy.special import digamma, gammaln
 
-from .problem import UNKNOWNS, Hypotheses, Problem, coefficients, levels, members
+from .problem import (
+    CALLED,
+    COUNTED,
+    I_LL,
+    I_LW,
+    I_WW,
+    OF_SHRINKAGE,
+    PULL_L,
+    PULL_W,
+    UNKNOWNS,
+    Hypotheses,
+    Problem,
+    coefficients,
+    levels,
+    members,
+)
 
 # The shapes of the tables (spreads, tails, shares of classes) are good to about 14 %, to which 25 vehicles determine a
 # spread. More vehicles do not make one fleet or mix more likely than another: they would distinguish what is finer than
@@ -82,7 +97,8 @@ class _Fitting:
         sums, curvature = self._expected(going, along, none)
         step = self._newton(going, turn, along, sums, curvature)
         after = self._counted(going, sums)
-        change = np.maximum(np.abs(step[:, :4]).max(1), np.abs(after - self.counts[going]).max(1) / self.votes)
+        recounted = np.abs(after - self.counts[going]).max(1) / self.votes
+        change = np.maximum(np.abs(step[:, :OF_SHRINKAGE]).max(1), recounted)
         self.counts[going], self.unknown[going] = after, here + step
         return change > STILL
 
@@ -102,9 +118,9 @@ class _Fitting:
         return [every.where(self.owner == c) for c in range(len(self.problems))]
 
     def _expected(self, going: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K + 3, G, 6 + J) sums over the votes of all but the last columns of `Problem.table`, weighted by the
+        """(K + 3, G, CALLED + J) sums over the votes of the columns of `Problem.table` but the last, weighted by the
         probability of each class; and (G, UNKNOWNS**2) the curvature that follows."""
-        sums = np.empty((len(self.turns[0]), len(going), 6 + self.problems[0].called.shape[1]))
+        sums = np.empty((len(self.turns[0]), len(going), CALLED + self.problems[0].called.shape[1]))
         curvature = np.empty((len(going), UNKNOWNS**2))
         mine = self.owner[going]
         for c in np.unique(mine):
@@ -112,7 +128,7 @@ class _Fitting:
             p, density = members(self.problems[c].table, along[:, rows], none[rows])
             sums[:, rows] = p @ self.problems[c].table[..., :-1]
             self.log_density[going[rows]] = np.log(density).sum(1)
-            curved = sums[:, rows, [0, 1, 1, 2]].transpose(1, 0, 2).reshape(len(p[0]), -1)
+            curved = sums[:, rows, [I_LL, I_LW, I_LW, I_WW]].transpose(1, 0, 2).reshape(len(p[0]), -1)
             curvature[rows] = curved @ self.bends[c]
         return sums, curvature
 
@@ -122,8 +138,9 @@ class _Fitting:
         """(G, UNKNOWNS) a Newton step of the unknowns, along which the scale stays."""
         mine = self.owner[going]
         prior, basis = self.priors[mine], self.bases[mine]
-        a00, a01, a11, b0, b1 = np.moveaxis(sums[..., :5], -1, 0)  # (K + 3, G) each
-        m0, m1 = along[..., 3], along[..., 4]
+        a00, a01, a11 = sums[..., I_LL], sums[..., I_LW], sums[..., I_WW]  # (K + 3, G) each
+        b0, b1 = sums[..., PULL_L], sums[..., PULL_W]
+        m0, m1 = along[..., PULL_L], along[..., PULL_W]
         pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 3, G) gradients
         right = np.einsum("vkiu,ikv->vu", turn, pulled) - np.einsum("vu,vuw->vw", self.unknown[going], prior)
         whole = curvature.reshape(-1, UNKNOWNS, UNKNOWNS) + prior
@@ -134,7 +151,7 @@ class _Fitting:
 
     def _counted(self, going: np.ndarray, sums: np.ndarray) -> np.ndarray:
         """(G, C) parameters of the Dirichlet distributions, with the votes added."""
-        found, called = sums[..., 5], sums[..., 6:].transpose(1, 0, 2).reshape(len(going), -1)
+        found, called = sums[..., COUNTED], sums[..., CALLED:].transpose(1, 0, 2).reshape(len(going), -1)
         within = found.cumsum(0)[self.classes - 1 :]  # of a level with all levels inside it, (BESIDE_FLEET + 1, G)
         beside = [*found[self.classes :], self.votes - within[-1]]
         columns = [*found[: self.classes], *chain(*zip(within, beside, strict=True)), called]

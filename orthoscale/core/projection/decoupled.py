@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boxes import Boxes
-from .exact import ground_axes
+from .height import radial_cosine
 from .view import Views
 
 PRIORS = (4.4, 1.9, 1.6)  # length, width, height [m] of a small vehicle in the paper
@@ -87,10 +87,7 @@ def relative_orientation(boxes: Boxes, views: Views) -> np.ndarray:
     Measured on the ground, where ``L cos g`` and ``L sin g`` are lengths; radial is the viewing ray's azimuth. Straight
     below the camera there is no azimuth, and pi/2 is returned: ``L_eff`` does not depend on it there.
     """
-    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
-    radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal
-    radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-300)
-    return np.arccos(np.clip(np.abs((along * radial).sum(1)), 0, 1))
+    return np.arccos(radial_cosine(boxes, views))
 
 
 def _effective(boxes: Boxes, views: Views, priors: tuple[float, float, float]) -> np.ndarray:

@@ -18,6 +18,7 @@ from .view import Views
 ITERATIONS = 8  # each leaves about a tenth of the error of the one before
 # Bumpers reach out furthest about here (49 CFR 581 hits them at 16 to 20 inches, 0.41 to 0.51 m), doors a bit higher.
 BEND = 0.4  # [m] walls are vertical up to here; above it they lean in by `Hull.end_lean` and `Hull.side_lean`
+LENGTH_PER_WIDTH = 2.4  # of a mid-size car: 4.4 by 1.83 m
 FLAT = 0.01  # [m] height of a hull that is no more than an outline on the ground
 CHUNK = 1_000  # boxes solved at once; small enough for the processor's cache
 
@@ -66,7 +67,7 @@ class Hull:
             front = 0.5 - _within(share * self.front_inset + end)
             rear = -0.5 + _within(share * self.rear_inset + end)
             side = 0.5 - _within(share * self.side_inset + side_in)
-            cut_side, cut_long = self.corner, self.corner / 2.4  # the same cut in metres along both axes
+            cut_side, cut_long = self.corner, self.corner / LENGTH_PER_WIDTH  # the same cut in metres along both axes
             for x, direction in ((front, -1.0), (rear, 1.0)):
                 for y in (side, -side):
                     plan += [(x, y - np.sign(y) * cut_side), (x + direction * cut_long, y)]

@@ -13,11 +13,18 @@ from .exact import ground_axes
 from .view import Views
 
 
-def lean(boxes: Boxes, views: Views) -> np.ndarray:
-    """(N, 2) how much of a vehicle's height each box shows along its length and its width, as a share of the height."""
+def radial_cosine(boxes: Boxes, views: Views) -> np.ndarray:
+    """(N,) cosine of the angle, in 0..pi/2, between each box's long side and the radial direction, measured on the
+    ground; radial is the viewing ray's azimuth. 0 straight below the camera, where there is no azimuth."""
     along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
     radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal
     radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-12)
-    cosine = np.clip(np.abs((along * radial).sum(1)), 0, 1)
+    cosine: np.ndarray = np.clip(np.abs((along * radial).sum(1)), 0, 1)
+    return cosine
+
+
+def lean(boxes: Boxes, views: Views) -> np.ndarray:
+    """(N, 2) how much of a vehicle's height each box shows along its length and its width, as a share of the height."""
+    cosine = radial_cosine(boxes, views)
     cotangent = 1 / np.tan(views.elevation)
     return np.stack([cosine, np.sqrt(1 - cosine**2)], -1) * cotangent[:, None]

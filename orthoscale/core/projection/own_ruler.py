@@ -16,7 +16,8 @@ from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
-BODY = (HEIGHT, UNDERCUT, LEAN, CORNER)  # columns of what boxes enclose
+SHAPE = (UNDERCUT, LEAN, CORNER)
+BODY = (HEIGHT, *SHAPE)  # columns of what boxes enclose
 # Finite differences for the slopes: [m], [detector px], [m], [1/m], share of the width. About as large as the
 # uncertainty of each: smaller ones change nothing in a box that hides what leans in, which would then seem certain.
 DIFFERENCES = (0.2, 0.25, 0.1, 0.1, 0.07)
@@ -163,7 +164,7 @@ class OwnRuler:
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
-    def told(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
+    def size_and_sd(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
         """Sizes (N, 2) as `size`, NaN also where a slightly different body could not give the box; and (2,) relative
         one-sigmas common to all lengths and to all widths, from the uncertainty of bodies and of what boxes enclose."""
         size, slopes = self.size(seen), self.slopes(seen, BODY)
