@@ -11,6 +11,7 @@ import training
 from orthoscale.core.boxes import matched, suppress
 from orthoscale.detect.detector import FINDER, SHIPPED, Detector
 from orthoscale.detect.detector import __file__ as detector_file
+from orthoscale.detect.measurer import SHIPPED_MEASURER, Measurer
 
 onnx = pytest.importorskip("onnx")
 TRAINED, SHIPS = Path(training.__file__).parent / "weights", Path(detector_file).parent / "weights"
@@ -36,6 +37,9 @@ def convolutions(model):
     return found
 
 
+HEADS = {SHIPPED: 1, FINDER: 1, SHIPPED_MEASURER: 8}  # convolutions that keep 32 bits: those that tell boxes or edges
+
+
 def shown():
     """An input (3, 96, 128) uint8 with RENDERED_VEHICLES."""
     image = np.full((96, 128, 3), 114, np.uint8)
@@ -44,9 +48,9 @@ def shown():
     return np.ascontiguousarray(image.transpose(2, 0, 1))
 
 
-@pytest.mark.parametrize("name", [SHIPPED, FINDER])
-def test_what_ships_is_what_was_trained_in_8_bits(name):
-    trained, ships = onnx.load(TRAINED / name), onnx.load(SHIPS / name)
+@pytest.mark.parametrize("network", HEADS)
+def test_what_ships_is_what_was_trained_in_8_bits(network):
+    trained, ships = onnx.load(TRAINED / network), onnx.load(SHIPS / network)
     assert cards(ships) == cards(trained) != []
     # Others would ask for a newer onnxruntime than pyproject.toml does.
     assert ships.ir_version == trained.ir_version and list(ships.opset_import) == list(trained.opset_import)
@@ -61,7 +65,7 @@ def test_what_ships_is_what_was_trained_in_8_bits(name):
         # Where a channel is next to nothing beside its bias, its step is larger.
         assert np.all(np.abs(stored - weights) <= 0.51 * step.reshape(-1, 1, 1, 1) + 1e-5)
         assert integers.dtype == np.int8 and np.abs(integers.astype(int)).max() <= MOST
-    assert sum(integers is None for _, integers in after.values()) == 1, "the head alone keeps 32 bits"
+    assert sum(integers is None for _, integers in after.values()) == HEADS[network]
 
 
 @pytest.mark.parametrize("name", [SHIPPED, FINDER])
@@ -76,6 +80,16 @@ def test_8_bits_see_the_same_vehicles(name):
     assert np.abs(before.score - after.score).max() < 0.06
     assert np.abs(np.log(before.length / after.length)).max() < 0.03
     assert np.abs(before.xylwa[:, :2] - after.xylwa[:, :2]).max() < 0.5
+
+
+def test_8_bits_measure_the_same_edges():
+    trained, ships = Measurer(TRAINED / SHIPPED_MEASURER), Measurer()
+    pixels = shown().transpose(1, 2, 0)
+    proposed = suppress(Detector()(pixels))
+    assert len(proposed) == RENDERED_VEHICLES
+    before, after = (measurer.in_pixels(pixels, proposed).boxes for measurer in (trained, ships))
+    change = np.abs(np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4]))
+    assert 0 < change.max() < 0.01 and np.abs(after.xylwa[:, :2] - before.xylwa[:, :2]).max() < 0.1
 
 
 def test_what_8_bits_take_from_outputs_is_given_back(tmp_path):
