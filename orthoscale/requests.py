@@ -308,7 +308,7 @@ class EstimateRequest(VehicleRequest):
         (PROVEN,),
         str,
         "Evidence",
-        "Objects of standard size to look for, beside the vehicles: all, none, or kinds of them; by default those "
+        "Objects of standard size to look for, besides the vehicles: all, none, or kinds of them; by default those "
         "whose false finds are known to be rare. Repeatable.",
         choices=ANCHORS,
         metavar="KIND",

@@ -87,7 +87,7 @@ save_option = option(
     "--save-detections",
     type=PATH,
     group="Output",
-    help="Save the boxes, also of a scale that is refused: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+    help="Save the boxes, even if the scale is refused: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
 )
 
 

@@ -17,7 +17,7 @@ from .reading import read_text, reason
 CONTROL_HINT = (
     "Expected one point a line, and its place in metres: POINT EAST NORTH [UP], separated by blanks or semicolons. "
     "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which needs UP where the ground "
-    "is not level), in double quotes where the name has spaces or backslashes. Text after # is ignored. Or "
+    "is not level), in double quotes where the name has spaces or backslashes. Lines that begin with # are ignored. Or "
     "OpenDroneMap's gcp_list.txt."
 )
 EARTH = "EPSG:4978"  # geocentric coordinates [m]

@@ -61,7 +61,7 @@ def another(path: Path) -> InputError:
     """The error of a worker whose file is not the one that its task is about."""
     return InputError(
         f"{path} differs here from the file where the run was started, in size or time of change",
-        "Give all machines the same files, with their times (cp -p, rsync -t), and let nothing write them meanwhile.",
+        "Give all machines the same files, with their times (cp -p, rsync -t), and make sure that nothing writes them.",
     )
 
 

@@ -78,5 +78,5 @@ class Depths:
                     return path
         raise InputError(
             f"{self._path}: no depth map of {photo.name}",
-            f"It is looked for as {name.stem}{MAP_ENDINGS[0]} and the like.",
+            f"Expected {name.stem}{MAP_ENDINGS[0]} or the like.",
         )
