@@ -265,7 +265,7 @@ def test_a_folder_is_no_place_for_the_copy_of_a_picture(more, tmp_path):
     car_park(tmp_path)
     (tmp_path / "out").mkdir()
     done = run("fix", tmp_path / "park.png", "--out", tmp_path / "out", *more)
-    assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "end in .tif" in done.stderr
+    assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "ends in .tif" in done.stderr
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_in_one_picture_they_lie_on_the_ground(flight, tmp_path):
     source = open_source(flight[0])
     best = max(source.picture_names, key=lambda n: sum(shows(source, n, p) for p in PLACES @ flight[1].T))
     found = read_control(marked(tmp_path / "gcp_list.txt", source, flight[1], pictures=[best]), source)
-    assert "where rays meet" not in found.says
+    assert "intersecting rays" not in found.says
     assert abs(found.value / UNIT - 1) > 0.02
 
 
