@@ -226,7 +226,7 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     """Either alone does not: nothing would show that it is mistaken."""
     (tmp_path / "none.json").write_text("{}")
     options = {**usual(flight), "detections": tmp_path / "none.json"}
-    with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*there is: GPS positions"):
+    with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*given: GPS positions"):
         orthoscale.estimate(flight, **options)
     with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*there is: the known distance"):
         orthoscale.estimate(flight, **options, known_distance=[DISTANCE.format(4 * UNIT)], gps=False)
