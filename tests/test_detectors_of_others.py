@@ -220,7 +220,11 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
             {"orthoscale": '{"name": 5}'},
             r"card that can be read \(.* is missing|name",
         ),
-        ({"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)}, {}, "no detector"),
+        (
+            {"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)},
+            {},
+            "not those of any known detector",
+        ),
     ],
 )
 def test_other_networks_are_refused_in_words(tmp_path, outputs, metadata, message):

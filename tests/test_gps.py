@@ -228,7 +228,7 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     options = {**usual(flight), "detections": tmp_path / "none.json"}
     with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*given: GPS positions"):
         orthoscale.estimate(flight, **options)
-    with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*there is: the known distance"):
+    with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*given: the known distance"):
         orthoscale.estimate(flight, **options, known_distance=[DISTANCE.format(4 * UNIT)], gps=False)
     done = orthoscale.fix(flight, tmp_path / "out", **options, known_distance=[DISTANCE.format(4 * UNIT)])
     assert done.scale.value == pytest.approx(UNIT, rel=0.01) and done.scale.vehicles_used == 0

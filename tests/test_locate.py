@@ -422,7 +422,7 @@ def test_the_scale_of_the_map_is_beside_the_claimed_one(flight, tmp_path):
     (told,) = json.loads(done.stdout)["photos"]
     assert told["map_scale"]["low"] < gsd_of(SHOTS["down.png"]) < told["map_scale"]["high"]
     assert told["agreement"]["contradict"] and told["together"] is None
-    assert "the given GSD and the map contradict each other: 1.1" in told["agreement"]["said"]
+    assert "the given GSD and the map contradict each other: ratio 1.1" in told["agreement"]["said"]
 
 
 def test_opinions_that_agree_are_pooled():
