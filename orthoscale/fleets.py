@@ -113,7 +113,7 @@ def _unknown(text: str) -> UsageError:
     near = nearest_names(text, _has_fleet)
     hint = f"Did you mean {', '.join(near)}? " if near else ""
     if text.lower().endswith(".csv"):
-        hint = "`orthoscale fleets --registrations` makes a fleet of a register. "
+        hint = "`orthoscale fleets --registrations` makes a fleet from a register. "
     elif are_several(text):
         hint = "All vehicles are measured by one fleet, of one country. "
     return UsageError(

@@ -103,7 +103,7 @@ def _check(name: str, about: Option, value: Any) -> Any:
     elif not isinstance(value, wanted):
         raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
     if about.choices and value not in about.choices:
-        raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", nearest(value, about.choices))
+        raise UsageError(f"{name} {value} is not one of {', '.join(about.choices)}", nearest(value, about.choices))
     if about.positive and not (math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be a positive number, not {value}")
     if about.not_negative and value < 0:

@@ -152,7 +152,7 @@ def _counted(path: Path) -> dict[str, float]:
                 continue
             if not (whole := WHOLE_COUNT.fullmatch(said)):
                 raise InputError(
-                    f"{path}, line {table.line_num}: {shown(said) or 'nothing'} is no whole number of vehicles", HINT
+                    f"{path}, line {table.line_num}: {shown(said) or 'nothing'} is not a whole number of vehicles", HINT
                 )
             called = " ".join(name)
             counted[called] = counted.get(called, 0.0) + float(re.sub(r"\D", "", whole["figures"]))

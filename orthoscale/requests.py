@@ -187,7 +187,7 @@ class PhotoRequest(VehicleRequest):
         None,
         str,
         "Evidence",
-        "Metres in a unit of the depth, or whose it is: da3 (Depth Anything 3 metric), metric3d, unidepth. Default: "
+        "Metres per unit of depth, or the network's name: da3 (Depth Anything 3 metric), metric3d, unidepth. Default: "
         "metres.",
         metavar="M|NAME",
     )
@@ -284,7 +284,7 @@ class EstimateRequest(VehicleRequest):
         None,
         Path,
         "Evidence",
-        "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance. A model wants UP where "
+        "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance. A model needs UP where "
         "the ground is not level; an orthophoto's distances are horizontal. Or, for a model, OpenDroneMap's "
         "gcp_list.txt.",
         metavar="FILE",
@@ -300,7 +300,7 @@ class EstimateRequest(VehicleRequest):
         None,
         Path,
         "Evidence",
-        "Georeferenced map of another date that shows the same ground: its scale counts beside the vehicles', and an "
+        "Georeferenced map of another date that shows the same ground: its scale counts besides the vehicles', and an "
         "orthophoto takes its place and direction from it.",
         metavar="MAP",
     )
@@ -308,7 +308,7 @@ class EstimateRequest(VehicleRequest):
         (PROVEN,),
         str,
         "Evidence",
-        "Objects of standard size to look for, beside the vehicles: all, none, or kinds of them; by default those "
+        "Objects of standard size to look for, besides the vehicles: all, none, or kinds of them; by default those "
         "whose false finds are known to be rare. Repeatable.",
         choices=ANCHORS,
         metavar="KIND",
@@ -317,7 +317,7 @@ class EstimateRequest(VehicleRequest):
         (),
         str,
         "Evidence",
-        "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of such. Repeatable.",
+        "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of them. Repeatable.",
         is_file=_is_json,
         metavar="KIND=M",
     )
@@ -328,7 +328,7 @@ class EstimateRequest(VehicleRequest):
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
         if self.calibration is not None and self.measures is not None:
             raise UsageError(
-                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
+                "--calibration is for a detector's boxes, but --measurer replaces these", "Give one of them."
             )
         if self.detector is not None or self.measures is None:
             self._refuse(("fast",), "only where both built-in networks are used does a larger one make the second pass")

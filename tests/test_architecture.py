@@ -172,7 +172,7 @@ SAYS_WHAT_IS_ALLOWED = (
     " must be ",
     " must lie between ",
     " takes ",
-    " is none of ",
+    " is not one of ",
     " is neither ",
     " positive number",
 )

@@ -229,5 +229,5 @@ class _With:
 def test_boxes_that_the_margin_may_be_all_of_are_too_little_evidence(share):
     block = fly(np.random.default_rng(8), FLEET, Conditions("nadir", vehicles=20), unsure=False)
     tiny = {name: replace(b, xylwa=b.xylwa * [1, 1, share, share, 1]) for name, b in block.found.boxes.items()}
-    with pytest.raises(TooLittleEvidence, match="boxes that a vehicle explains, 5 are needed"):
+    with pytest.raises(TooLittleEvidence, match="boxes that fit a vehicle, 5 are needed"):
         measure_source(block.source, replace(block.found, boxes=tiny), FLEET, mode="oblique")

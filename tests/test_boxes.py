@@ -129,7 +129,7 @@ def test_a_fault_names_the_box():
     assert Boxes(np.array([good]), [1]).fault(320, 240) is None and Boxes.empty().fault(1, 1) is None
     assert Boxes(np.array([good, bad]), [1, 1]).fault() is None
     assert Boxes(np.array([good, bad]), [1, 1]).fault(320, 240)[0] == 1
-    assert Boxes(np.array([good]), [1], [[-0.1, 0.1]]).fault() == (0, "has a sigma that is no share")
+    assert Boxes(np.array([good]), [1], [[-0.1, 0.1]]).fault() == (0, "has a sigma that is not a fraction")
 
 
 def crowd(n, side, seed):

@@ -28,6 +28,6 @@ def test_what_is_no_amount_or_too_little(text):
 
 def test_what_needs_more_says_how_much():
     budget.require(2**30, "a picture")
-    with pytest.raises(InputError, match=r"a picture needs 1\.5 GB of memory, and 1 GB are allowed") as caught:
+    with pytest.raises(InputError, match=r"a picture needs 1\.5 GB of memory, but only 1 GB is allowed") as caught:
         budget.require(1.5 * 2**30, "a picture")
     assert caught.value.hint == "Allow more: --memory 2G"

@@ -386,7 +386,7 @@ def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
     folder = renamed(plain, tmp_path / "m", "bin", change)
     put_frames(plain, tmp_path / "images")
     (tmp_path / "images/00.json").write_text("{}")
-    with pytest.raises(InputError, match=r"images/00.png is of another name"):
+    with pytest.raises(InputError, match=r"images/00.png has another name"):
         ColmapSource.open(folder)
     with pytest.raises(InputError, match=r"cameras.bin is not a folder"):
         ColmapSource.open(folder, folder / "cameras.bin")
@@ -701,7 +701,7 @@ FORGED = {
     "distortion infinite": ("cameras.bin", 64, "d", np.inf, "not a finite number"),
     "camera id": ("cameras.bin", 8, "I", 7, "camera 1, which does not exist"),
     "rotation NaN": ("images.bin", 12, "d", np.nan, "not a finite number"),
-    "rotation zero": ("images.bin", 12, "4d", (0, 0, 0, 0), "no unit quaternion"),
+    "rotation zero": ("images.bin", 12, "4d", (0, 0, 0, 0), "not a unit quaternion"),
     "translation infinite": ("images.bin", 44, "d", np.inf, "not a finite number"),
     "image's camera": ("images.bin", 68, "I", 5, "camera 5, which does not exist"),
     "image name": ("images.bin", 72, "6B", (0xFF,) * 6, "not UTF-8"),

@@ -127,7 +127,7 @@ def test_a_models_are_those_in_space_or_without_up_in_the_grounds_plane(flight, 
     in_space, level = (read_control(written(tmp_path / "c.txt", points, r), source) for r in (rows, rows[:, :2]))
     assert in_space.value == pytest.approx(UNIT, rel=1e-6) and in_space.says == "ground control (4 points)"
     assert level.value == pytest.approx(UNIT, rel=1e-4)
-    assert level.says == "ground control (4 points, the ground taken for level)"
+    assert level.says == "ground control (4 points, the ground assumed level)"
     assert in_space.relative_sd < 0.001 and LEVEL_SD < level.relative_sd < 1.2 * LEVEL_SD
     mixed = written(tmp_path / "c.txt", points, [*rows[:2], *rows[2:, :2]])
     with pytest.raises(InputError, match="line 3: 2 coordinates in metres, but 3 above"):
@@ -196,8 +196,8 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     for options, why in (
         ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "for vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),
-        ({"projection": "mercator"}, "--projection mercator is none of"),
-        ({"estimator": "mode"}, "--estimator mode is none of"),
+        ({"projection": "mercator"}, "--projection mercator is not one of"),
+        ({"estimator": "mode"}, "--estimator mode is not one of"),
     ):
         with pytest.raises(UsageError, match=why):
             orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)

@@ -31,7 +31,7 @@ def test_marks_in_many_pictures_give_the_scale_in_space_whatever_the_map(flight,
     source = open_source(flight[0])
     found = read_control(marked(tmp_path / "gcp_list.txt", source, flight[1], header, SYSTEMS[header]), source)
     assert found.value == pytest.approx(UNIT, rel=2e-5)
-    assert found.says == "ground control (4 points, 4 of them where rays meet)"
+    assert found.says == "ground control (4 points, 4 of them from intersecting rays)"
     assert 0.0005 < found.relative_sd < 0.002  # points good to 0.05 m, some 30 m from their middle
 
 
@@ -40,7 +40,7 @@ def test_in_one_picture_they_lie_on_the_ground(flight, tmp_path):
     source = open_source(flight[0])
     best = max(source.picture_names, key=lambda n: sum(shows(source, n, p) for p in PLACES @ flight[1].T))
     found = read_control(marked(tmp_path / "gcp_list.txt", source, flight[1], pictures=[best]), source)
-    assert "where rays meet" not in found.says
+    assert "intersecting rays" not in found.says
     assert abs(found.value / UNIT - 1) > 0.02
 
 
@@ -67,7 +67,9 @@ def test_pictures_that_the_model_lacks_are_left_out_and_points_without_any_are_t
     path.write_text(f"{text}\n{more}\n{elsewhere}\n")
     found = read_control(path, source)
     assert found.value == whole.value
-    assert found.says == "ground control (4 points, 4 of them where rays meet, 1 more in no picture of the model)"
+    assert (
+        found.says == "ground control (4 points, 4 of them from intersecting rays, 1 more in no picture of the model)"
+    )
 
 
 def test_marks_near_the_horizon_do_not_count_beside_others(flight, tmp_path):
@@ -101,7 +103,7 @@ def test_lines_of_the_same_metres_are_one_point_in_the_plain_form_too(flight, tm
     ]
     path.write_text("\n".join(lines))
     found = read_control(path, source)
-    assert found.value == pytest.approx(UNIT, rel=2e-5) and "4 of them where rays meet" in found.says
+    assert found.value == pytest.approx(UNIT, rel=2e-5) and "4 of them from intersecting rays" in found.says
     assert len(lines) > 2 * len(read_control_file(path).points)
 
 
@@ -148,10 +150,10 @@ GOOD = "500000 5390000 300 10 20 a.jpg"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("EPSG:999999\n" + GOOD, "line 1: 'EPSG:999999' is no coordinate reference system on Earth"),
-        ("+proj=nothing\n" + GOOD, "line 1: '.proj=nothing' is no coordinate"),
-        ("WGS84 UTM 99N\n" + GOOD, "line 1: 'WGS84 UTM 99N' is no coordinate"),
-        ("EPSG:32632\n500000 5390000 300 10 20", "line 2: 5 words, where"),
+        ("EPSG:999999\n" + GOOD, "line 1: 'EPSG:999999' is not a coordinate reference system on Earth"),
+        ("+proj=nothing\n" + GOOD, "line 1: '.proj=nothing' is not a coordinate"),
+        ("WGS84 UTM 99N\n" + GOOD, "line 1: 'WGS84 UTM 99N' is not a coordinate"),
+        ("EPSG:32632\n500000 5390000 300 10 20", "line 2: 5 words, but"),
         ("EPSG:32632\n\nx 5390000 300 10 20 a.jpg", "line 3: 'x' is not a finite number"),
         ("EPSG:32632\n500000,5 5390000 300 10 20 a.jpg", "line 2: '500000,5' has a decimal comma: write 500000.5"),
         ("EPSG:32632\n500000 5390000 300 10,5 20 a.jpg", "line 2: '10,5' has a decimal comma: write 10.5"),
@@ -162,9 +164,9 @@ GOOD = "500000 5390000 300 10 20 a.jpg"
         ("1;;678,5", "line 1: '' is not a finite number"),
         ("120;80;500000,25;5390000,5;1", "line 1: 4 coordinates in metres"),
         ("1;2;3\n4 5 6", "line 1: 0 coordinates in metres"),
-        ("EPSG:32632\n500000;5390000;300;10;20", "line 2: 5 words, where"),
+        ("EPSG:32632\n500000;5390000;300;10;20", "line 2: 5 words, but"),
         ("EPSG:32632\n500000 5390000 nan 10 20 a.jpg", "line 2: 'nan' is not a finite number"),
-        ("EPSG:32632\n1e30 5390000 300 10 20 a.jpg", "line 2: 1e30 5390000 300 is no place in EPSG:32632"),
+        ("EPSG:32632\n1e30 5390000 300 10 20 a.jpg", "line 2: 1e30 5390000 300 is not a place in EPSG:32632"),
     ],
 )
 def test_what_is_wrong_with_a_list_is_said_with_its_line(tmp_path, text, said):

@@ -63,7 +63,7 @@ def test_a_reconstruction_lies_where_opensfm_says(tmp_path):
 def test_a_name_wins_and_the_sea_has_no_country():
     assert named_fleet("DE", None).code == "DE" and named_fleet(None, None) is None
     at_sea, notes = fleet_at(Location(-30.0, 30.0, "the GPS position in x.jpg"))
-    assert at_sea.code == "WORLD" and notes == ("the GPS position in x.jpg is in no country: fleet world",)
+    assert at_sea.code == "WORLD" and notes == ("the GPS position in x.jpg is not in any country: fleet world",)
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_what_cannot_be_checked(results):
         check_against_model(model, ortho)
     elsewhere = np.random.default_rng(0).uniform(0, 1500, ortho.votes.place.shape)
     votes = replace(ortho.votes, place=elsewhere)
-    with pytest.raises(TooLittleEvidence, match="do not fall on one another"):
+    with pytest.raises(TooLittleEvidence, match="do not line up"):
         check_against_model(replace(ortho, measured=replace(ortho.measured, votes=votes)), model)
 
 

@@ -128,7 +128,11 @@ def test_a_cloud_on_the_map_is_said_to_be_left_out(tmp_path):
 
 def test_what_cannot_be_a_cloud_is_refused(tmp_path):
     (tmp_path / "a.las").write_bytes(b"LASF")
-    for name, why in ((".", "no dense workspace of COLMAP"), ("a.las", "no PLY file"), ("none.ply", "does not exist")):
+    for name, why in (
+        (".", "not a dense workspace of COLMAP"),
+        ("a.las", "not a PLY file"),
+        ("none.ply", "does not exist"),
+    ):
         with pytest.raises(InputError, match=why):
             cloud_at(tmp_path / name)
 

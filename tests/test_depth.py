@@ -144,7 +144,7 @@ def test_another_unit_is_refused_by_what_the_vehicles_say(folder):
 
 def test_a_map_of_another_field_or_without_ground_is_refused(folder):
     depth = exact(folder, 0)
-    with pytest.raises(InputError, match="not of the field"):
+    with pytest.raises(InputError, match="do not cover the field"):
         altitude(folder, 0, depth.T)
     with pytest.raises(InputError, match="no depth of the ground"):
         altitude(folder, 0, np.full_like(depth, np.nan))
@@ -216,7 +216,7 @@ def damaged(kind, path):
 @pytest.mark.parametrize(
     "kind, name, word",
     [
-        ("text", "d.npy", "no NumPy array"), ("pickle", "d.npy", "no NumPy array"),
+        ("text", "d.npy", "not a readable NumPy array"), ("pickle", "d.npy", "not a readable NumPy array"),
         ("three layers", "d.npy", "not a depth map"), ("zeros", "d.npy", "no depth above 0"),
         ("empty", "d.npy", "no depth above 0"), ("whole numbers", "d.npy", "--depth-factor 0.001"),
         ("text", "d.tif", "cannot be read"), ("colour", "d.png", "a picture of a depth"),
@@ -268,7 +268,7 @@ def test_a_network_sees_the_photo_as_its_rule_says(folder, tmp_path, name, size,
         ({"outputs": ("a", "b")}, "which of its outputs"),
         ({"size": (None, 504)}, "only one side"),
         ({"channels": 1}, "not a picture"),
-        ({"flat": True}, "no depth map"),
+        ({"flat": True}, "is not a depth map"),
     ],
 )
 def test_a_network_that_is_none_for_depth_is_refused(folder, tmp_path, more, word):
@@ -286,7 +286,7 @@ def test_the_depth_among_several_outputs_is_known_by_its_name(folder, tmp_path):
 
 
 def test_a_network_without_a_rule_and_no_network_are_refused(folder, tmp_path):
-    with pytest.raises(UsageError, match="whose network"):
+    with pytest.raises(UsageError, match="nothing states the unit"):
         Depths(depth_network(tmp_path / "n.onnx"))
     (tmp_path / "m.onnx").write_text("none")
     with pytest.raises(InputError, match="not an ONNX network"):

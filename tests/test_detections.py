@@ -17,7 +17,7 @@ from orthoscale.formats.detections.own import load_detections, save_detections
 
 @pytest.mark.parametrize("name", ["d.gpkg", "d.txt", "d.coco.json", "d"])
 def test_boxes_are_not_written_as_json_under_another_formats_name(tmp_path, name):
-    with pytest.raises(UsageError, match="name end in .json"):
+    with pytest.raises(UsageError, match="name that ends in .json"):
         save_detections(Detections({}, 1.0, Ruler((0, 0)), (0.7, 0.5), "test"), tmp_path / name)
     assert not list(tmp_path.iterdir())
 

@@ -209,8 +209,8 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
     [
         ({"output0": np.zeros((1, 84, 8400))}, {**NAMES, "task": "detect"}, "'detect', whose boxes have no direction"),
         ({"output0": raw()}, {**NAMES, "names": "{0: 'car'}"}, "contradicts itself"),
-        ({"dets": np.zeros((1, 5, 5)), "labels": np.zeros((1, 5), int)}, {}, "no detector of oriented boxes"),
-        ({"output0": np.zeros((1, 1000))}, {}, r"outputs output0 \[1, 1000\] are those of no detector"),
+        ({"dets": np.zeros((1, 5, 5)), "labels": np.zeros((1, 5), int)}, {}, "any known detector of oriented boxes"),
+        ({"output0": np.zeros((1, 1000))}, {}, r"outputs output0 \[1, 1000\] are not those of any known detector"),
         *(({"output0": raw()}, {**NAMES, "stride": s}, "its stride is") for s in ("0", "-32", "many", "9" * 5000)),
         ({"output0": raw()}, {**NAMES, "names": "[" * 5000 + "]" * 5000}, "names of its classes cannot be read"),
         ({"output0": raw()}, {**NAMES, "names": "{" + "-" * 90_000 + "1: 'car'}"}, "names of its classes cannot be"),
@@ -220,7 +220,11 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
             {"orthoscale": '{"name": 5}'},
             r"card that can be read \(.* is missing|name",
         ),
-        ({"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)}, {}, "no detector"),
+        (
+            {"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)},
+            {},
+            "not those of any known detector",
+        ),
     ],
 )
 def test_other_networks_are_refused_in_words(tmp_path, outputs, metadata, message):
@@ -239,7 +243,7 @@ def test_operators_of_others_and_their_library(tmp_path, monkeypatch):
     )
     opsets = [helper.make_opsetid("", 17), helper.make_opsetid("mmdeploy", 1)]
     onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), tmp_path / "rotated.onnx")
-    with pytest.raises(InputError, match="ORTHOSCALE_ONNX_OPS name its libmmdeploy_onnxruntime_ops"):
+    with pytest.raises(InputError, match="set ORTHOSCALE_ONNX_OPS to the path of its libmmdeploy_onnxruntime_ops"):
         Detector(tmp_path / "rotated.onnx")
     monkeypatch.setenv("ORTHOSCALE_ONNX_OPS", str(tmp_path / "missing.so"))
     with pytest.raises(InputError, match="no library of operators"):

@@ -38,7 +38,7 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     refusal, whose = together.remarks
     assert refusal.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and refusal.severity == "refusal"
     assert together.support.conflicts == ("vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart",)
-    assert "that of one side alone, the surest: a tape" in whose.text, "nobody takes the figure for the vehicles'"
+    assert "that of the most certain side alone, a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
 def test_what_contradicts_is_said_once():
@@ -46,7 +46,10 @@ def test_what_contradicts_is_said_once():
     court = Evidence.mixed("court", Posterior.normal(np.log(0.14), 0.01), ["a court"], doubt=0.01)
     dashes = Evidence.mixed("dashes", Posterior.normal(np.log(0.07), 0.01), ["dashes"], doubt=0.3)
     refusal, whose, beside = combined(VEHICLES, PARTS, [court, dashes]).remarks
-    assert refusal.text.startswith("conflict: vehicles: 0.1, a court: 0.14") and "the surest: vehicles" in whose.text
+    assert (
+        refusal.text.startswith("conflict: vehicles: 0.1, a court: 0.14")
+        and "the most certain side alone, vehicles" in whose.text
+    )
     assert beside.text.startswith("dashes: would give 0.07") and beside.text.endswith("it does not count")
 
 
@@ -164,7 +167,7 @@ def test_of_two_scales_about_as_near_the_sharper_one_is_meant():
 
 def test_without_vehicles_two_pieces_of_one_kind_are_too_little():
     two = [Evidence("tape", 0.1, 0.01, f"tape {k}") for k in "ab"]
-    with pytest.raises(TooLittleEvidence, match="two kinds of evidence that agree .*; there is: tape a, tape b"):
+    with pytest.raises(TooLittleEvidence, match="two kinds of evidence that agree .*; given: tape a, tape b"):
         measured_without_vehicles(two, "m/px", "DE", 2, {})
     court = Evidence("court", 0.1, 0.01, "a court")
     assert measured_without_vehicles([two[0], court], "m/px", "DE", 2, {}).scale.value == pytest.approx(0.1)
@@ -251,7 +254,7 @@ def test_two_control_points_are_as_good_as_is_assumed_of_them():
     pixels, metres = np.array([[0, 0], [60, 80.0]]), np.array([[0, 0], [6, 8.0]])
     found, exact = (ground_control(pixels, metres, read_sd) for read_sd in (0.5, 0.0))
     assert found.value == exact.value == pytest.approx(0.1)
-    assert exact.says == "ground control (2 points, taken to be good to 0.05 m)"
+    assert exact.says == "ground control (2 points, assumed good to 0.05 m)"
     assert exact.relative_sd == pytest.approx(0.05 / np.sqrt(50))
     assert found.relative_sd == pytest.approx(np.hypot(0.05 / np.sqrt(50), 0.5 / np.sqrt(5000)))
 
@@ -332,7 +335,7 @@ def test_each_point_is_read_as_well_as_it_can_be():
 
 def test_two_points_have_no_residuals_and_that_is_said():
     ends = np.array([[0, 0], [100.0, 0], [0, 70]])
-    assert ground_control(ends[:2], ends[:2]).says == "ground control (2 points, taken to be good to 0.05 m)"
+    assert ground_control(ends[:2], ends[:2]).says == "ground control (2 points, assumed good to 0.05 m)"
     assert ground_control(ends, ends).says == "ground control (3 points)"
 
 
@@ -408,7 +411,7 @@ def test_a_box_of_an_object_that_contradicts_the_vehicles_is_said_to_and_does_no
     together = combined(VEHICLES, PARTS, [found])
     assert found.value < 0.08 and together.summary[0] == pytest.approx(0.1) and together.summary[2] > 0.108
     assert together.conflict > 3 and together.remarks[0].severity == "refusal"
-    assert "the surest: vehicles" in together.remarks[1].text
+    assert "the most certain side alone, vehicles" in together.remarks[1].text
 
 
 def test_every_standard_says_where_it_comes_from():

@@ -404,7 +404,7 @@ def test_copies_of_a_box_count_once_in_every_format(plain, tmp_path, name):
         save(Detections({"ortho.tif": copies}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / name, plain)
     again = load(tmp_path / name, plain)
     same(Boxes(again.boxes["ortho.tif"].xylwa, again.boxes["ortho.tif"].score), BOXES, 0.02)
-    assert plain.notes[-1].text.endswith("12 of its 15 boxes repeat another's vehicle and were left out")
+    assert plain.notes[-1].text.endswith("12 of its 15 boxes repeat the vehicle of another and were left out")
 
 
 @pytest.mark.parametrize("name", [*EVERYTHING, "d.txt"])
@@ -507,9 +507,9 @@ CORNERS = [float(v) for v in CAR.split()]
 @pytest.mark.parametrize(
     "name, text, message",
     [
-        ("d.txt", "1 2 3\n", "line 1 is no box"),
-        ("d.txt", "0 5 5 45 5 45 20 5 20\n", "line 1 is no box"),  # of Ultralytics, but for its pixels
-        ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is no box"),
+        ("d.txt", "1 2 3\n", "line 1 is not a box"),
+        ("d.txt", "0 5 5 45 5 45 20 5 20\n", "line 1 is not a box"),  # of Ultralytics, but for its pixels
+        ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is not a box"),
         ("d.txt", f"tokyo 0.9 {CAR}\nparis 0.9 {CAR}\n", "none of its 2 pictures is in .* the first is 'tokyo'"),
         ("d.txt", "tokyo 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes of 'tokyo' lie outside of ortho.tif"),
         (
@@ -540,9 +540,9 @@ CORNERS = [float(v) for v in CAR.split()]
             {"annotations": [], "info": {"orthoscale": {"zoom": 1}}},
             "info.orthoscale: effective_height is missing",
         ),
-        ("d.geojson", feature("Point", [1, 2]), "feature 1 is no polygon but Point"),
+        ("d.geojson", feature("Point", [1, 2]), "feature 1 is not a polygon but Point"),
         ("d.geojson", feature("Polygon", [[[1, 2], [3, 4]]]), "has 2 usable corners"),
-        ("d.geojson", feature("Polygon", [[["a", 2], [3, 4], [5, 6]]]), "is no polygon"),
+        ("d.geojson", feature("Polygon", [[["a", 2], [3, 4], [5, 6]]]), "is not a polygon"),
         ("d.geojson", feature("Polygon", [RING], **{"class": "roof"}), "its classes are roof"),
         ("d.geojson", feature("Polygon", [RING], score="high"), "has a score that is not from 0 to 1"),
         ("d.geojson", {"type": "FeatureCollection", "features": [{"type": "Feature"}]}, "not GeoJSON that can be read"),

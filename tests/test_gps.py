@@ -226,9 +226,9 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     """Either alone does not: nothing would show that it is mistaken."""
     (tmp_path / "none.json").write_text("{}")
     options = {**usual(flight), "detections": tmp_path / "none.json"}
-    with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*there is: GPS positions"):
+    with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*given: GPS positions"):
         orthoscale.estimate(flight, **options)
-    with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*there is: the known distance"):
+    with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*given: the known distance"):
         orthoscale.estimate(flight, **options, known_distance=[DISTANCE.format(4 * UNIT)], gps=False)
     done = orthoscale.fix(flight, tmp_path / "out", **options, known_distance=[DISTANCE.format(4 * UNIT)])
     assert done.scale.value == pytest.approx(UNIT, rel=0.01) and done.scale.vehicles_used == 0
@@ -266,7 +266,7 @@ def test_a_model_that_looks_as_if_it_were_in_metres_is_said_to(tmp_path):
     model.write(tmp_path / "enu")
     options = {"detections": example / "detections.json", "fleet": "US", "report": "none"}
     done = orthoscale.fix(tmp_path / "enu", tmp_path / "out", **options)
-    (said,) = [remark for remark in done.remarks if "looks as if it were in metres" in remark.text]
+    (said,) = [remark for remark in done.remarks if "seems to be in metres" in remark.text]
     assert f"vehicles give {done.scale.value:.3f} m per unit" in said.text and said.severity == "info"
     assert (tmp_path / "out" / "sim3.json").exists()
 

@@ -279,7 +279,7 @@ def test_a_ruler_that_measures_nothing_is_refused_wherever_it_stands(tmp_path, r
 
 
 # What a message calls a place whose own name is not in it.
-CALLED = {"coordinates": "corners|numbers|no polygon", "features": "no vector file", "shares": "share|segment"}
+CALLED = {"coordinates": "corners|numbers|no polygon", "features": "not a vector file", "shares": "share|segment"}
 
 
 @pytest.mark.parametrize(

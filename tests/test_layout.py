@@ -579,7 +579,7 @@ def test_an_orthophoto_without_metres_is_refused(tmp_path):
     orthophoto(tmp_path)
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45)])
     done = run(tmp_path / "plain.png", "--lot", lot, "--facility", "padel")
-    assert done.returncode == 5 and "has no metres" in done.stderr and "orthoscale fix" in done.stderr
+    assert done.returncode == 5 and "has no scale in metres" in done.stderr and "orthoscale fix" in done.stderr
 
 
 def test_the_list_has_sources():

@@ -422,7 +422,7 @@ def test_the_scale_of_the_map_is_beside_the_claimed_one(flight, tmp_path):
     (told,) = json.loads(done.stdout)["photos"]
     assert told["map_scale"]["low"] < gsd_of(SHOTS["down.png"]) < told["map_scale"]["high"]
     assert told["agreement"]["contradict"] and told["together"] is None
-    assert "the given GSD and the map contradict each other: 1.1" in told["agreement"]["said"]
+    assert "the given GSD and the map contradict each other: ratio 1.1" in told["agreement"]["said"]
 
 
 def test_opinions_that_agree_are_pooled():
@@ -441,7 +441,7 @@ def test_opinions_that_agree_are_pooled():
     (("--prior", "9,60"), "is not LON,LAT,RADIUS"),
     (("--prior", "9,60,-5"), "radius must be a positive"),
     (("--prior", "20,40,100"), "lies outside of map.tif"),
-    (("--heading", "north"), "neither degrees nor 'search'"),
+    (("--heading", "north"), "neither a number of degrees nor 'search'"),
     (("--gsd", "0"), "--gsd must be a positive number"),
     (("--fleet", "DE"), "--fleet does nothing here: --gsd says how large a pixel is"),
     (("--embedding-map", "x.onnx"), "second of two networks"),
@@ -538,7 +538,7 @@ def test_a_photo_that_sees_the_ground_too_flatly_does_not_end_the_others(flight,
     assert done.returncode == 0, done.stderr
     told = {each["photo"]: each for each in json.loads(done.stdout)["photos"]}
     assert told["down.png"]["located"] and told["a.jpg"]["exit_code"] == 3
-    assert "a.jpg: it sees the ground too flatly, nowhere from 25 degrees" in told["a.jpg"]["problem"]
+    assert "a.jpg: it sees the ground at too low an angle, nowhere from 25 degrees" in told["a.jpg"]["problem"]
 
 
 # Levelling, maps, features

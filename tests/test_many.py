@@ -174,7 +174,9 @@ def test_folders_that_are_not_looked_into_are_said(tmp_path):
         (tmp_path / f"{2020 + k}" / "a.jp2").touch()
     (tmp_path / "notes").mkdir()
     (told,) = Named([tmp_path, tmp_path / "2020", tmp_path / "model"]).not_looked_into
-    assert "not looked into 2020, 2021, 2022, 2023, 2024 and 2 more;" in told and f"'{tmp_path}/*/*.jp2'" in told
+    assert (
+        "subfolders not searched: 2020, 2021, 2022, 2023, 2024 and 2 more;" in told and f"'{tmp_path}/*/*.jp2'" in told
+    )
     assert Named([tmp_path / "none", tmp_path / "*"]).not_looked_into == []
 
 
@@ -196,7 +198,7 @@ def test_folders_below_those_that_fit_a_pattern_are_said(tmp_path):
     for place in ("2020/a.tif", "2020/more/b.tif"):
         (tmp_path / place).touch()
     (told,) = Named([tmp_path / "*"]).not_looked_into
-    assert told.startswith(f"{tmp_path / '2020'}: not looked into more;")
+    assert told.startswith(f"{tmp_path / '2020'}: subfolders not searched: more;")
 
 
 def test_copies_of_one_name_take_that_of_their_folders(tmp_path):

@@ -317,7 +317,7 @@ def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_
         ("cloud.ply", "sim3.json cloud.ply --out"),
         ("mesh.LAZ", "sim3.json mesh.LAZ --out"),
         ("cloud.e57", "As PLY"),
-        ("flight.mp4", "reconstruct its frames"),
+        ("flight.mp4", "reconstruct the frames"),
         ("database.db", "sparse/0"),
         ("ortho.zip", "unpack it"),
         ("ortho.tif.gz", "unpack it"),

@@ -134,7 +134,7 @@ def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
         with pytest.raises(InputError, match=name) as caught:
             read_tags(tmp_path / name)
         assert "convert HEIC and raw" in caught.value.hint
-    with pytest.raises(InputError, match="no photo in this folder"):
+    with pytest.raises(InputError, match="no readable photo in this folder"):
         find_photos([tmp_path])
     write_photo(tmp_path / "a.jpg")
     (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")  # macOS leaves these on cards
@@ -150,10 +150,10 @@ def test_files_in_a_folder_that_are_not_looked_at_are_said(tmp_path):
     found = find_photos([tmp_path])
     assert found.paths == {"a.jpg": with_video}
     (told,) = found.notes
-    assert told.startswith(f"{tmp_path}: not looked at a.mp4, b.HEIC, e.MOV, f.nef, g.webp and 1 more. Give photos as")
+    assert told.startswith(f"{tmp_path}: not read: a.mp4, b.HEIC, e.MOV, f.nef, g.webp and 1 more. Give photos as")
     assert "convert HEIC" in told and "frames of videos" in told
     with_video.unlink()
-    with pytest.raises(InputError, match="no photo in this folder that is read, only a.DNG, a.mp4"):
+    with pytest.raises(InputError, match="no readable photo in this folder, only a.DNG, a.mp4"):
         find_photos([tmp_path])
     assert find_photos([write_photo(tmp_path / "a.jpg")]).notes == (), "the folder was not named"
 
@@ -169,7 +169,7 @@ def test_place_altitude_and_camera(tmp_path, place):
 
 @pytest.mark.parametrize("xmp", ['Camera:Pitch="-60,5"', 'drone-dji:GimbalPitchDegree="-60,5"'])
 def test_a_pitch_that_is_no_number_is_said(tmp_path, xmp):
-    assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is no number: passed over",)
+    assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is not a number: ignored",)
 
 
 @pytest.mark.parametrize("unknown", [(0, 0), (2**31, 1), (2**32 - 1, 1)])
@@ -263,7 +263,7 @@ def test_a_pitch_that_is_given_keeps_the_roll_that_is_known(tmp_path, roll, kept
 
 
 def test_what_was_cropped_and_may_be_smaller_is_refused(tmp_path):
-    with pytest.raises(InputError, match="1920 x 1080 px are a part of the 4000 x 3000 px"):
+    with pytest.raises(InputError, match="1920 x 1080 px are a crop of the 4000 x 3000 px"):
         lens_of(tags(1920, 1080, 4000, full_height=3000, focal_35mm=20))
     assert lens_of(tags(1920, 1080, 4000, full_height=3000), focal_px=1000.0).focal_px == 1000
 
@@ -487,7 +487,7 @@ def test_boxes_too_thin_for_a_higher_body_are_too_little_evidence(tmp_path, flee
     views, _ = photo.views(centre, ALTITUDE)
     sides = np.stack([np.full(10, 4.5), 1.5 * np.sin(views.elevation)], -1) / views.unit_per_pixel[:, None]
     boxes = Boxes(np.column_stack([centre, sides, np.zeros(10)]), np.ones(10))
-    with pytest.raises(TooLittleEvidence, match="that a vehicle explains"):
+    with pytest.raises(TooLittleEvidence, match="that fit a vehicle"):
         measure([photo], detections_of({"a.jpg": boxes}), fleet)
 
 
@@ -570,7 +570,7 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
     )
     with pytest.raises(TooLittleEvidence, match="3 usable vehicles, 5 are needed"):
         measure(photos[:1], few, fleet)
-    with pytest.raises(TooLittleEvidence, match=r"12 boxes in 4 photos, but 4.0 of them .* about 3 different vehicles"):
+    with pytest.raises(TooLittleEvidence, match=r"12 boxes in 4 photos, but 4.0 photos .* about 3 different vehicles"):
         measure_together(photos, few, fleet)
     unplaced = [replace(photo, tags=replace(photo.tags, lon_lat=None)) for photo in photos]
     assert measure_together(unplaced, few, fleet).overlap == 4, "they may show different places"
@@ -620,7 +620,7 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     done = run(folder, *rules, *(part for path in outputs for part in ("--out", path)), "--json")
     assert done.returncode == 0, done.stderr
     text = json.loads(done.stdout)
-    assert text["notes"][0].startswith(f"{folder}: not looked at d.heic. Give photos as JPEG")
+    assert text["notes"][0].startswith(f"{folder}: not read: d.heic. Give photos as JPEG")
     assert (text["photos"], text["measured"], text["used_ratio"]) == (3, 2, pytest.approx(2 / 3))
     assert json.loads(outputs[1].read_text()).items() >= text.items()
     first = text["rows"][0]
@@ -673,7 +673,7 @@ def test_what_is_to_be_said_of_the_boxes_is_said(tmp_path, flight, command):
         notes = claimed_scales({"a.jpg": folder / "a.jpg"}, None, how)["a.jpg"].notes
     said = "; ".join(notes)
     assert "1 of its pictures are not in this model, the first is elsewhere.jpg" in said
-    assert f"{len(boxes)} of its {len(twice)} boxes repeat another's vehicle" in said
+    assert f"{len(boxes)} of its {len(twice)} boxes repeat the vehicle of another" in said
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
@@ -759,7 +759,7 @@ def bad_photo(folder, kind):
         ("missing", [], 5, "does not exist"),
         ("text", [], 5, "not an image"),
         ("empty", [], 5, "x.jpg"),
-        ("empty folder", [], 5, "no photo"),
+        ("empty folder", [], 5, "no readable photo"),
         ("no EXIF", [], 5, "no focal length"),
         ("no EXIF", ["--focal-px", "-1"], 2, "positive"),
         ("no EXIF", ["--focal-px", "900", "--pitch", "10"], 2, "--pitch"),

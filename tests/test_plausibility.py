@@ -68,7 +68,7 @@ def test_a_scale_of_boxes_of_one_size_is_refused(count, scatter, refused):
     plan.plan, plan.posed = plan, None
     found = Detections({"plan": Boxes(rows, np.full(count, 0.9))}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
     measured = measure_source(plan, found, DE)
-    said = [remark.severity for remark in measured.remarks if "of one length" in remark.text]
+    said = [remark.severity for remark in measured.remarks if "equally long" in remark.text]
     assert said == ([REFUSAL] if refused else [])
     assert (measured.scale.verdict == UNUSABLE) >= refused
 
@@ -80,7 +80,7 @@ def test_a_scale_of_such_boxes_is_refused(boxes):
     plan.plan, plan.posed = plan, None
     found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
     measured = measure_source(plan, found, DE)
-    said = [remark for remark in measured.remarks if "stand in one another" in remark.text]
+    said = [remark for remark in measured.remarks if "overlap each other" in remark.text]
     if len(boxes) == 2000:
         assert measured.scale.verdict == UNUSABLE and [remark.severity for remark in said] == [REFUSAL]
         assert any(check.severity == REFUSAL and check.detail == said[0].text for check in judgements(measured))
@@ -137,7 +137,7 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     assert aside.rejected_boxes == {"panels": doubtful}
     assert unsure.scale.value == sure.scale.value
     assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
-    assert any("as few as of mistakes" in check.detail for check in judgements(unsure)) == lowered
+    assert any("as few as among false detections" in check.detail for check in judgements(unsure)) == lowered
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert if_confirmed(good, believed, doubtful).verdict == ("poor" if lowered else "good")
@@ -160,7 +160,7 @@ def test_where_hardly_any_box_counts_and_these_do_not_agree_nothing_is_given(bel
     scale = replace(scale, interval90=(scale.value * np.exp(-open_by), scale.value * np.exp(open_by)))
     judged = if_confirmed(scale, believed, 1602 - believed)
     assert (judged.verdict == UNUSABLE) == refused
-    (remark,) = [r for r in judged.remarks if "as few as of mistakes" in r.text]
+    (remark,) = [r for r in judged.remarks if "as few as among false detections" in r.text]
     assert (remark.severity, bool(remark.hint)) == ((REFUSAL, True) if refused else (CAUTION, False))
 
 

@@ -223,7 +223,7 @@ def test_eight_bits_that_became_sixteen_are_shown_as_they_were(tmp_path, factor,
     pixels[:, :, :40] = 0
     plain = RasterSource.open(make(tmp_path / "a.tif", pixels, nodata=0))
     copy = RasterSource.open(make(tmp_path / "b.tif", pixels.astype("uint16") * factor, nodata=0))
-    assert f"8 bit times {factor}" in copy.notes[0].text
+    assert f"8-bit values times {factor}" in copy.notes[0].text
     assert np.array_equal(copy.read(0, 0, W, H, W, H), plain.read(0, 0, W, H, W, H))
     half = [source.read(0, 0, W, H, W // 2, H // 2) for source in (copy, plain)]
     assert np.array_equal(*half)  # averages that end in a half, too
@@ -370,7 +370,7 @@ def test_a_worker_shows_what_its_sender_opened(tmp_path):
 def test_a_worker_refuses_another_image_than_its_sender_opened(tmp_path):
     sent = pickle.dumps(RasterSource.open(make(tmp_path / "a.tif")))
     os.utime(tmp_path / "a.tif", (0, 0))
-    with pytest.raises(InputError, match=r"a\.tif is another file here"):
+    with pytest.raises(InputError, match=r"a\.tif differs here"):
         pickle.loads(sent)
 
 
@@ -958,7 +958,7 @@ def test_different_nodata_per_band_becomes_a_mask(tmp_path):
     source = RasterSource.open(tmp_path / "a.vrt")
     assert (source.read(0, 0, W, H, W, H)[:50] == NO_DATA_GREY).all()
     source.write(tmp_path / "b.tif", 0.1)
-    assert any("have several values" in note.text for note in source.notes)
+    assert any("have several nodata values" in note.text for note in source.notes)
     with rasterio.open(tmp_path / "b.tif") as d:
         assert not d.dataset_mask()[:50].any() and np.array_equal(d.read(), pixels)
 

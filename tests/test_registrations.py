@@ -130,5 +130,5 @@ def test_thousands_may_be_set_apart(tmp_path, said, vehicles):
 
 @pytest.mark.parametrize("said", ["12.5", "1.23", "-3", "nan", "", "1.2345", "1e3", "many"])
 def test_what_is_no_whole_number_is_refused(tmp_path, said):
-    with pytest.raises(InputError, match="line 2: .* no whole number of vehicles"):
+    with pytest.raises(InputError, match="line 2: .* not a whole number of vehicles"):
         fleet_of_register(written(tmp_path, f"model;count\nGolf;{said}\n"))

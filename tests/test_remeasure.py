@@ -161,7 +161,7 @@ def test_in_a_model_frames_and_ground_pictures_are_measured(monkeypatch):
     ):
         got = find.measured_anew(ortho, seen, EstimateRequest(**options), QUIET)
         assert (got is not seen) == measures, options
-    with pytest.raises(UsageError, match="--calibration is of a detector's boxes"):
+    with pytest.raises(UsageError, match="--calibration is for a detector's boxes"):
         EstimateRequest(calibration="c.json", measurer="built-in")
 
 

@@ -242,9 +242,9 @@ def test_check_keeps_boxes_in_the_format_of_their_name(tmp_path):
     [
         ({"exhuastive": True}, "no option is called 'exhuastive'.*Did you mean 'exhaustive'"),
         ({"flet": "US"}, "no option is called 'flet'.*Did you mean 'fleet'"),
-        ({"mode": "bogus"}, "--mode bogus is none of both, oblique, planar"),
+        ({"mode": "bogus"}, "--mode bogus is not one of both, oblique, planar"),
         ({"mode": "plannar"}, "Did you mean 'planar'"),
-        ({"projection": "mercator"}, "--projection mercator is none of"),
+        ({"projection": "mercator"}, "--projection mercator is not one of"),
         ({"zoom": "2"}, "--zoom takes a number, not '2'"),
         ({"zoom": -1.0}, "--zoom must be a positive number"),
         ({"target": float("nan")}, "--target must be a positive number"),

@@ -655,7 +655,7 @@ def test_all_lengths_of_instant_ngp_grow(tmp_path):
     }
     (tmp_path / "a.json").write_text(json.dumps(text))
     notes = scale_path(tmp_path / "a.json", tmp_path / "b.json", SCALE)
-    assert notes == ['its "scale", which instant-ngp multiplies positions by, is as it was']
+    assert notes == ['its "scale", which instant-ngp multiplies positions by, is unchanged']
     new = json.loads((tmp_path / "b.json").read_text())
     for name in names:
         assert np.allclose(np.array(new["frames"][0][name])[:3, 3], SCALE * pose[:3, 3])
@@ -966,7 +966,7 @@ def test_depth_maps_of_a_transforms_json(tmp_path):
     out, notes = applied(tmp_path, tmp_path / "a.json", tmp_path / "b.json")
     assert notes == [
         "refers to gone.ply, which is not beside it",
-        "the depth maps that it names stay in model units: read them times 14.157",
+        "the depth maps that it names stay in model units: multiply them by 14.157",
     ]
     assert json.loads((out / "b.json").read_text())["integer_depth_scale"] == pytest.approx(0.014157)
 

@@ -89,7 +89,7 @@ def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure(
     assert sigma[unsure] == pytest.approx(np.hypot(3 * 1.6 * SURE_SIGMA, MOVED_SD * outward)), "less certain for that"
     more = np.array(LESS_SURE) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
-    assert "the picture is soft: its edges are 2.02 times as unsure as sharp ones" in got.notes
+    assert "the picture is soft: its edges are 2.02 times as uncertain as sharp ones" in got.notes
 
 
 def test_what_is_no_vehicle_says_nothing_of_softness():
@@ -120,7 +120,7 @@ def test_edges_of_an_enlarged_picture_are_as_sure_as_its_pixels_are_large():
     seen = Detections({"pixels": boxes}, 1.0, UNKNOWN_RULER, (0.7, 0.5), "a detector", "detector")
     got = remeasured([Pixels(pixels)], seen, Sure(boxes), QUIET)
     assert got.boxes["pixels"].xylwa == pytest.approx(boxes.xylwa)
-    assert any("times the pixels" in note for note in got.notes)
+    assert any("times beyond its detail" in note for note in got.notes)
     assert not any("soft" in note for note in got.notes)
 
 
@@ -138,7 +138,7 @@ def test_vehicles_are_as_large_in_a_soft_picture(data):
         seen = Detections({"pixels": boxes}, 1.0, UNKNOWN_RULER, (0.7, 0.5), "a detector", "detector")
         got = remeasured([Pixels(pixels)], seen, Measurer(), QUIET)
         assert any("soft" in note for note in got.notes) == (pixels is soft)
-        assert not any("times the pixels" in note for note in got.notes)
+        assert not any("times beyond its detail" in note for note in got.notes)
         sizes.append(got.boxes["pixels"].xylwa[:, 2:4])
     larger = np.log(sizes[1] / sizes[0]).mean(0)
     assert (np.abs(larger) < [0.02, 0.045]).all()

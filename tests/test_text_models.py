@@ -109,12 +109,12 @@ def test_a_scale_is_not_applied_to_another_programs_model_of_another_unit(pinhol
         path = writer(model, tmp_path / name)
         paths.append(path or tmp_path / name / "transforms.json")
     apply(tmp_path / "colmap/sim3.json", paths[0], tmp_path / "out")
-    with pytest.raises(UsageError, match=f"{paths[1]} is another model than the one that was scaled: .*png stands"):
+    with pytest.raises(UsageError, match=f"{paths[1]} is not the model that was scaled: .*png stands"):
         apply(tmp_path / "colmap/sim3.json", paths[1], tmp_path / "none")
     assert not (tmp_path / "none").exists()
     if writer in (opensfm, nerfstudio):  # and where the one that was scaled is no model of COLMAP's
         Sim3(2.0).save(tmp_path / "out")
-        with pytest.raises(UsageError, match="is another model"):
+        with pytest.raises(UsageError, match="is not the model"):
             apply(tmp_path / "out/sim3.json", paths[1], tmp_path / "none")
         apply(tmp_path / "out/sim3.json", save(pinhole[0], tmp_path / "sparse", "bin"), tmp_path / "more")
 

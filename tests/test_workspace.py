@@ -125,7 +125,7 @@ def test_a_scale_is_not_applied_to_another_model(work, tmp_path):
     other = pycolmap.Reconstruction(work / "sparse/1")
     other.transform(pycolmap.Sim3d(1.3, pycolmap.Rotation3d(), np.array([5.0, 0, 0])))
     other.write(work / "sparse/1")
-    with pytest.raises(UsageError, match="another model than the one that was scaled"):
+    with pytest.raises(UsageError, match="is not the model that was scaled"):
         apply(tmp_path / "scaled/sim3.json", work / "sparse/1", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

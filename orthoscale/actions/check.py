@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..requests import EstimateOptions
 
-FIND_IT = "Find it by `orthoscale estimate`"
+FIND_IT = "Find it with `orthoscale estimate`"
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +91,7 @@ def checked(
         result.require_useful()
         scale = result.scale
         by = f"{scale.text()}, 90 % {scale.text(*scale.interval90)}"
-        raise UsageError(f"{source.path} claims no scale: {NOT_TOLD}; it has {by}", "Write it in metres by `fix`.")
+        raise UsageError(f"{source.path} claims no scale: {NOT_TOLD}; it has {by}", "Convert it to metres with `fix`.")
     return Checked(result, found)
 
 

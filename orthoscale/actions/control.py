@@ -93,7 +93,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
             metres.append(known)
     how = []
     if met := sum(point.met for point in points):
-        how.append(f"{met} of them where rays meet")
+        how.append(f"{met} of them from intersecting rays")
     if left_out := len(file.points) - len(points):
         how.append(f"{left_out} more in no picture of the model")
     try:
@@ -168,7 +168,7 @@ def _control_point(marks: Sequence[str], source: Source, footing: Footing) -> _F
             worst = int(np.argmax(missed))
             raise ValueError(
                 f"the rays of its {len(seen)} marks do not meet: {list(seen)[worst]} lies {missed[worst]:.0f} px from "
-                "where they nearly do; one is on another point"
+                "where they nearly do; one marks another point"
             )
         return _Footed(place, sd, np.zeros(3), place, met=True)
     return _Footed.on(footing, first)

@@ -81,9 +81,9 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     )
     if found is None:
         raise TooLittleEvidence(
-            f"the vehicles of {ortho.source.path} and {model.source.path} do not fall on one another "
+            f"the vehicles of {ortho.source.path} and {model.source.path} do not line up "
             f"({len(pixels)} and {len(places)} of them)",
-            "Is the orthophoto of the same place? More vehicles are needed where they stand too regularly.",
+            "Is the orthophoto of the same place? If vehicles stand in regular rows, more of them are needed.",
         )
     factor, common = found
     units_per_pixel = factor * ortho.scale.value / model.scale.value

@@ -72,8 +72,8 @@ class Named:
             if pictures:
                 pattern = word / "*" / f"*{next(iter(pictures.values())).suffix}"
                 told.append(
-                    f"{word}: not looked into {first_few([folder.name for folder in pictures])}; "
-                    f"what is in folders below is named by a pattern: '{pattern}', in quotes"
+                    f"{word}: subfolders not searched: {first_few([folder.name for folder in pictures])}; "
+                    f"to include them, give the pattern '{pattern}', in quotes"
                 )
         return told
 
@@ -129,7 +129,7 @@ def _told_apart(names: list[list[str]], of_another: Callable[[int, str], bool]) 
 def _check_folder(inputs: Sequence[Path], folder: Path) -> None:
     """Raise UsageError for a `folder` that cannot hold the copies of `inputs`; see `outputs_of`."""
     if folder.suffix.lower() in (".tif", ".tiff") and not folder.is_dir():
-        raise UsageError(f"{folder} would be the folder of several copies", "Choose a name that is no picture's.")
+        raise UsageError(f"{folder} would be the folder of several copies", "Choose a name without a picture's ending.")
     there = Path(os.path.realpath(folder))
     for path in inputs:
         given = Path(os.path.realpath(path))

@@ -50,7 +50,7 @@ class LocateRequest:
 
     def __post_init__(self) -> None:
         if self.method not in LOCATE_METHODS:
-            raise UsageError(f"--method {self.method} is none of {', '.join(LOCATE_METHODS)}")
+            raise UsageError(f"--method {self.method} is not one of {', '.join(LOCATE_METHODS)}")
         if self.embedding_map is not None and self.embedding is None:
             raise UsageError("--embedding-map is the second of two networks", "Give the one for photos: --embedding.")
         if self.embedding is not None and self.method not in ("auto", "retrieval"):
@@ -72,7 +72,7 @@ class LocateRequest:
         except ValueError:
             degrees = float("nan")
         if not -360 <= degrees <= 360:
-            raise UsageError(f"--heading {self.heading} is neither degrees nor {ANY_HEADING!r}")
+            raise UsageError(f"--heading {self.heading} is neither a number of degrees nor {ANY_HEADING!r}")
         return float(np.radians(degrees))
 
     def prior_on(self, satellite: Satellite) -> tuple[float, float, float] | None:
@@ -91,13 +91,13 @@ class LocateRequest:
             return x, y, radius
         if satellite.crs.is_geographic:
             raise UsageError(
-                f"--prior {self.prior} is no longitude and latitude, which is what the map has",
+                f"--prior {self.prior} is not a longitude and latitude, the map's coordinates",
                 "Give LON,LAT,RADIUS in degrees and metres.",
             )
         lon, lat = satellite.degrees(np.array([x, y]))[0].tolist()
         if not np.isfinite([lon, lat]).all():
             raise UsageError(
-                f"--prior {self.prior} is no place in {satellite.crs.name}",
+                f"--prior {self.prior} is not a place in {satellite.crs.name}",
                 "Give LON,LAT,RADIUS, or X and Y in the map's own coordinates.",
             )
         return lon, lat, radius

@@ -22,7 +22,7 @@ from .options import EXIT_CODES, PATH, command, debug_option, json_option, optio
 @json_option("what was written")
 @debug_option
 def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool) -> None:
-    """Bring other files of a scaled model to metres.
+    """Convert other files of a scaled model to metres.
 
     FILEs are in the units of the model that SIM3 belongs to, and are written again in metres. SIM3 is the sim3.json
     that `orthoscale fix` wrote. FILE is a PLY (cloud, mesh or Gaussian splat), OBJ, GLB or glTF, nerfstudio's

@@ -155,7 +155,7 @@ def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **mo
         raise UsageError("--locate needs a map", "Give it: --satellite MAP.tif.")
     if locate and of_altitudes:
         raise UsageError(
-            "--ablations, --sensitivity and --depth-folder are of altitudes, not of --locate", "Remove them."
+            "--ablations, --sensitivity and --depth-folder are for altitudes, not for --locate", "Remove them."
         )
     for name, value in {"satellite": satellite, **more}.items():
         if value is not None and not locate:

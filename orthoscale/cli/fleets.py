@@ -33,7 +33,7 @@ MOST_UNKNOWN = 10  # most models of unknown size that are listed
     type=PATH,
     metavar="CSV",
     group="Input",
-    help="Make a fleet of a register: columns model and count, and make if it has one.",
+    help="Make a fleet from a register with columns model and count, and make if known.",
 )
 @option("--out", type=PATH, group="Output", help="Where to write it, as JSON for --fleet.")
 @overwrite_option

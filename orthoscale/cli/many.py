@@ -202,7 +202,7 @@ def _loses_nothing(
 def _tell(rows: Sequence[Row], former: set[str]) -> None:
     """Print how many copies existed already (`former`), and what failed."""
     if left := sum(row["output"] in former for row in rows):
-        say(f"{left} of {len(rows)} were there already, made from the same input with the same options: left", err=True)
+        say(f"{left} of {len(rows)} were there already, made from the same input with the same options: kept", err=True)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         say(f"{len(failed)} of {len(rows)} failed:", err=True)

@@ -60,7 +60,7 @@ class AnyPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
         """`value` as a Path; an empty text is a usage error."""
         if not str(value):
-            self.fail("an empty name is no path", param, context)
+            self.fail("an empty name is not a path", param, context)
         return Path(value)
 
 
@@ -87,7 +87,7 @@ save_option = option(
     "--save-detections",
     type=PATH,
     group="Output",
-    help="Save the boxes, also of a scale that is refused: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+    help="Save the boxes, even if the scale is refused: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
 )
 
 

@@ -124,8 +124,8 @@ class Boxes:
                 "has no extent": ~(self.width > 0),
                 "is longer than the whole picture": self.length > np.hypot(width, height),
                 "has a score that is not from 0 to 1": ~((self.score >= 0) & (self.score <= 1)),
-                "has a sigma that is no share": ~((sigma >= 0) & (sigma < np.inf)).all(1),
-                "has a kind that is no probability": ~((kinds >= 0) & (kinds <= 1)).all(1),
+                "has a sigma that is not a fraction": ~((sigma >= 0) & (sigma < np.inf)).all(1),
+                "has a kind that is not a probability": ~((kinds >= 0) & (kinds <= 1)).all(1),
             }
         return next(((int(np.argmax(bad)), words) for words, bad in faults.items() if bad.any()), None)
 

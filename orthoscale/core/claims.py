@@ -187,8 +187,8 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
         return ()
     sigmas = abs(math.log(value / METRIC)) / _sd_towards(METRIC, scale)
     text = (
-        f"the model looks as if it were in metres already, aligned with GPS for instance: {_known_by(scale)} give "
-        f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a scaled copy is {value:.3f} times as large all the same"
+        f"the model seems to be in metres already, aligned with GPS for instance: {_known_by(scale)} give "
+        f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a copy is still scaled by {value:.3f}"
     )
     return (Remark(INFO, text),)
 

@@ -39,11 +39,11 @@ BY_GPS = "GPS positions"  # kind of the evidence from the positions of frames (`
 BY_DISTANCE, BY_CONTROL = "known distance", "ground control"  # kinds of the evidence that a user gives
 MAY_BE = {  # by kind, what may be wrong with evidence that does not fit the rest
     BY_DISTANCE: "the distance may be mistyped, or not on the ground",
-    BY_CONTROL: "the points may be mistyped, or of another grid",
-    BY_GPS: "the positions may be of another flight",
+    BY_CONTROL: "the points may be mistyped, or in another grid",
+    BY_GPS: "the positions may be from another flight",
     BY_MAP: "the place on the map may be wrong",
 }
-OF_ANCHORS = "it may be of another standard, or something else"
+OF_ANCHORS = "it may follow another standard, or be something else"
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Compared:
         """A caution for evidence that is `doubtful`."""
         apart = f"{percent(abs(self.difference))} {'more' if self.difference > 0 else 'less'}"
         text = (
-            f"{self.says}: gives {self.value:.5g}, {apart} than the {self.rest:.5g} of all else "
+            f"{self.says}: gives {self.value:.5g}, {apart} than the {self.rest:.5g} of everything else "
             f"({self.sigmas:.1f} sigma): {MAY_BE.get(self.kind, OF_ANCHORS)}"
         )
         return Remark(CAUTION, text)
@@ -237,7 +237,7 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     name, surest = min(certain, key=lambda one: one[1].spread)
     posterior, summary = _spanning([p for _, p in every], surest)
     told = tuple(e.meant(before) for e in evidence)
-    whose = Remark(CAUTION, f"the scale told is that of one side alone, the surest: {name}; the interval covers all")
+    whose = Remark(CAUTION, f"the scale is that of the most certain side alone, {name}; the interval covers all")
     refusals = [Remark(REFUSAL, f"conflict: {figures}", CONFLICT_HINT) for figures in conflicts]
     remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
@@ -358,7 +358,7 @@ def _within_reach(
         else:
             e = e.meant(vehicles)
             text = (
-                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.1f} % interval "
+                f"{e.says}: would give {e.value:.5g}, outside the vehicles' {100 * ALONE:.1f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
             unheard.append((e, Remark(CAUTION, text)))

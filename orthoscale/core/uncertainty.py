@@ -20,7 +20,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "GPS positions": "the receiver's errors wander, and the flight is only so large",
+    "GPS positions": "the receiver's errors drift, and the flight covers a limited area",
     "map": "the match with the map, and what the map shows",
     "parking bays": "the width of parking bays at one place",
 }
@@ -73,7 +73,7 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: f
     if not (parts and np.isfinite(variance)):
         raise ValueError("there is no uncertainty to explain")
     if not variance:  # by the paper's estimator, which knows nothing but the scatter of the vehicles
-        return Explanation(0.0, (), (), "The vehicles are all of one size, and nothing else is taken for uncertain.")
+        return Explanation(0.0, (), (), "The vehicles are all of one size, and nothing else is taken as uncertain.")
     share = {name: sd**2 / variance for name, sd in parts.items()}
     named = tuple(
         Part(name, parts[name], share[name], MEANINGS.get(name, OF_AN_ANCHOR))
@@ -88,7 +88,7 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: f
         f"measure four times as many vehicles ({4 * vehicles_used} instead of {vehicles_used})": ("sampling", 0.75),
         "use a detector with half the box bias": ("margin", 0.75),
         "use steeper views, or more ground points under the vehicles": ("geometry", 0.75),
-        "straighten the input, or measure its parts by themselves": ("drift", 1.0),
+        "straighten the input, or measure its parts separately": ("drift", 1.0),
     }
     if fleet == WORLD:
         removable["name the country (--fleet)"] = ("fleet", 1 - COUNTRY_SHARE**2)
@@ -113,7 +113,7 @@ def _halve(variance: float, drift: float, remedies: list[Remedy], pixel: float) 
         return f"No known distance halves it while the scale drifts; {alone}."
     needed = float(1 / np.sqrt(1 / left - 1 / rest))
     if needed < FINEST:
-        return "It is known as well as things can be read in pictures: no known distance would halve it."
+        return "It is known as well as pictures can be measured: no known distance would halve it."
     reading = np.sqrt(2) * READING_SD * pixel
     metres = KNOWN_METRES * max(np.ceil(2 * reading / needed / KNOWN_METRES), 1)
     across = f"{metres:g} m known to {100 * np.sqrt((metres * needed) ** 2 - reading**2):.0f} cm"

@@ -284,7 +284,7 @@ def _foreign(path: Path, content: bytes, threads: int) -> Worker:
         if "not a registered function" in str(error) or "is not a registered" in str(error):
             raise InputError(
                 f"{path}: has operators that onnxruntime does not know ({error})",
-                f"For MMDeploy's, let the variable {OPERATORS} name its libmmdeploy_onnxruntime_ops.so.",
+                f"For MMDeploy's, set {OPERATORS} to the path of its libmmdeploy_onnxruntime_ops.so.",
             ) from error
         raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})", NO_NETWORK) from error
 

@@ -90,7 +90,7 @@ def recognise(
     found = decoder or _decoder(outputs, metadata)
     if found is None:
         raise InputError(
-            f"{path}: outputs {_words(outputs)} are those of no detector of oriented boxes known here",
+            f"{path}: outputs {_words(outputs)} are not those of any known detector of oriented boxes",
             f"Name its decoder by --decoder ({', '.join(DECODERS)}).",
         )
     if found not in DECODERS:

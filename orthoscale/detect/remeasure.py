@@ -147,11 +147,11 @@ def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     if seen.too_large.any():
         length, width = (signed(each) for each in np.expm1(seen.too_large))
-        yield f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off"
+        yield f"dark vehicles measured {length} in length, {width} in width because of their shadows: corrected"
     if seen.enlarged > 1:
-        yield f"the picture has {float(seen.enlarged):g} times the pixels that it shows, each way: measured in fewer"
+        yield f"the picture is enlarged {float(seen.enlarged):g} times beyond its detail: measured at reduced size"
     if seen.soft > 1:
-        yield f"the picture is soft: its edges are {seen.soft:.2f} times as unsure as sharp ones"
+        yield f"the picture is soft: its edges are {seen.soft:.2f} times as uncertain as sharp ones"
 
 
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:

@@ -51,7 +51,7 @@ def scale_errors(text: str) -> list[float]:
                 values.append(float(word))
     except ValueError:
         raise UsageError(
-            f"--scale-errors {text} is no list of numbers", "Write -.5,-.2,0,.2,.5 or -.5,...,.5."
+            f"--scale-errors {text} is not a list of numbers", "Write -.5,-.2,0,.2,.5 or -.5,...,.5."
         ) from None
     if not all(-1 < value <= 9 for value in values):
         raise UsageError(f"--scale-errors {text}: each must lie between -1 and 9", "An error of .1 is 10 % too large.")

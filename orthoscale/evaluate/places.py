@@ -72,7 +72,7 @@ def _add_gps_lines(places: dict[str, tuple[float, float]], path: Path) -> None:
         match = GPS_LINE.match(line.strip())
         lon, lat = (float(match[2]), float(match[3])) if match else (math.nan, math.nan)
         if match is None or not (abs(lon) <= 180 and abs(lat) <= 90):
-            raise InputError(f"{path}, line {number}: {line.strip()[:80]!r} is no place of a photo", GPS_HINT)
+            raise InputError(f"{path}, line {number}: {line.strip()[:80]!r} is not the place of a photo", GPS_HINT)
         _add(places, _short(match[1]), (lon, lat), f"{path}, line {number}")
 
 
@@ -91,7 +91,7 @@ def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
             continue
         if not (abs(lon) <= 180 and abs(lat) <= 90):
             raise InputError(
-                f"{path}, line {table.line_num}: {lon:g}, {lat:g} is no longitude and latitude",
+                f"{path}, line {table.line_num}: {lon:g}, {lat:g} is not a longitude and latitude",
                 "Correct or remove the line.",
             )
         _add(places, (row["image"] or "").strip(), (lon, lat), f"{path}, line {table.line_num}")

@@ -166,7 +166,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
             continue  # Metashape's line of column names
         if not (all(map(math.isfinite, values)) and abs(values[0]) <= 180 and abs(values[1]) <= 90):
             raise InputError(
-                f"{path}, line {number}: {values[0]:g}, {values[1]:g} is no longitude and latitude",
+                f"{path}, line {number}: {values[0]:g}, {values[1]:g} is not a longitude and latitude",
                 "The last six columns are longitude, latitude, height, yaw, pitch, roll.",
             )
         poses[parts[0]] = values

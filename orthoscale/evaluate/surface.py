@@ -28,7 +28,7 @@ class Surface:
     @classmethod
     def open(cls, path: Path) -> Surface:
         """Open the model at `path`. Raises InputError if it is no raster, or has no coordinate reference system."""
-        with reading(path, "is no surface model that GDAL can read", "Give a GeoTIFF."):
+        with reading(path, "is not a surface model that GDAL can read", "Give a GeoTIFF."):
             dataset = open_dataset(path)
         if dataset.crs is None:
             dataset.close()

@@ -15,9 +15,9 @@ from .points import WITH_COMMA, decimal_commas, number
 from .reading import read_text, reason
 
 CONTROL_HINT = (
-    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by blanks or semicolons. "
-    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
-    "is not level), in double quotes where the name has spaces or backslashes. Lines from # on do not count. Or "
+    "Expected one point a line, and its place in metres: POINT EAST NORTH [UP], separated by blanks or semicolons. "
+    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which needs UP where the ground "
+    "is not level), in double quotes where the name has spaces or backslashes. Lines that begin with # are ignored. Or "
     "OpenDroneMap's gcp_list.txt."
 )
 EARTH = "EPSG:4978"  # geocentric coordinates [m]
@@ -115,16 +115,16 @@ def _of_project(path: Path, head: tuple[int, str], lines: Sequence[tuple[int, st
         to_earth = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(zone).to_3d(), EARTH, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InputError(
-            f"{path}, line {row}: {shown(name)!r} is no coordinate reference system on Earth", CONTROL_HINT
+            f"{path}, line {row}: {shown(name)!r} is not a coordinate reference system on Earth", CONTROL_HINT
         ) from error
     for row, words in _columns(path, lines, str.split, slice(5)):
         with in_line(path, row):
             if len(words) < 6:
-                raise ValueError(f"{len(words)} words, where X Y Z COLUMN ROW PICTURE are six")
+                raise ValueError(f"{len(words)} words, but X Y Z COLUMN ROW PICTURE are six")
             x, y, z, *_ = map(number, words[:5])
             place = to_earth.transform(x, y, z)
             if not all(map(math.isfinite, place)):
-                raise ValueError(f"{' '.join(words[:3])} is no place in {name}")
+                raise ValueError(f"{' '.join(words[:3])} is not a place in {name}")
             yield ControlPoint(row, place, (f"{words[5]}@{words[3]},{words[4]}",))
 
 

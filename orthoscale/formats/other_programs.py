@@ -25,11 +25,11 @@ GEOMETRY = (
 PACKED = (
     "Clouds, meshes and splats show no vehicles. As PLY, LAS or GLB, `orthoscale apply` takes them to a model's scale."
 )
-VIDEO = "A video is not read: reconstruct its frames with COLMAP and give the model; or give an orthophoto of it."
+VIDEO = "Videos are not read: reconstruct the frames with COLMAP and give the model; or give an orthophoto."
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".mts", ".webm")
 DATABASE = "A database of COLMAP holds no model: give the folder that `colmap mapper` wrote, such as sparse/0."
-ARCHIVE = "Archives are not read: unpack it, and give the file or folder that was in it."
-CAMERAS = "It has no picture's size and no points: give the model that it was made from, or the orthophoto."
+ARCHIVE = "Archives are not read: unpack it, and give the file or folder inside."
+CAMERAS = "It has neither picture sizes nor points: give the model that it was made from, or the orthophoto."
 SIM3 = "It is the result of `orthoscale fix`, for `orthoscale apply`: give the model itself."
 BY_ENDING = {
     **dict.fromkeys((".psx", ".psz"), METASHAPE),

@@ -32,10 +32,10 @@ _NO_FILE = re.compile(r"[A-Za-z][\w+.-]+:|/vsi\w+/")
 
 _FOR_EXCEL = re.compile(r"\A\s*sep=.?(?=[\r\n])", re.IGNORECASE)  # a first line that tells Excel the separator
 DECIMAL_COMMAS = (
-    "Write numbers with a point (12.5). Decimal commas (12,5) are read where ; or tabs are between the columns, if no "
-    "number in the table has a point."
+    "Write numbers with a point (12.5). Decimal commas (12,5) are read if ; or tabs separate the columns and no number "
+    "in the table has a point."
 )
-EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it anew."
+EXPORT_ANEW = "The file is damaged or was cut off: copy it or export it again."
 
 T = TypeVar("T")
 
@@ -218,7 +218,7 @@ def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
     except msgspec.DecodeError as error:  # includes ValidationError: a number out of range
         start = content[:3] if isinstance(content, bytes) else content[:1].encode("utf-8", "replace")
         if start == b"\xef\xbb\xbf":
-            problem = "it begins with a byte order mark, which JSON may not have: save it as UTF-8 without"
+            problem = "it begins with a byte order mark, which JSON may not have: save it as UTF-8 without one"
         elif start[:2] in UTF_16:
             problem = "not UTF-8 text but UTF-16"
         else:
@@ -323,7 +323,7 @@ def _in_words(message: str) -> str:
     if match := re.match(r"Object (missing required|contains unknown) field `(.*)`", message, re.DOTALL):
         return f"{shown(match[2])} {'is missing' if 'missing' in match[1] else 'is not known here'}"
     if match := re.match(r"Invalid enum value (.*)", message, re.DOTALL):
-        return f"{shown(match[1])} is none of the values known here"
+        return f"{shown(match[1])} is not one of the values known here"
     message = message.replace("Expected", "expected").replace(", got", ", found")
     message = re.sub(r"a number > 0\.0(?!\d)", "a positive number", re.sub(r"`([^`]*)`", _kinds, message))
     return shown(message, 300)

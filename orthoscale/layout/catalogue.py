@@ -200,7 +200,7 @@ def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping
     if infield := entry.get("infield"):
         inner = infield.lower()
         if inner not in entries or entries[inner].get("infield"):
-            raise ValueError(f"its infield {infield!r} is none that is known, or has one itself")
+            raise ValueError(f"its infield {infield!r} is not known, or has one itself")
         lines += _facility(inner, entries[inner], entries).lines
     red, green, blue = (int(v) for v in entry.get("colour", (160, 160, 160)))
     return Facility(
@@ -222,7 +222,7 @@ def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping
 def _points(line: Sequence[Any]) -> np.ndarray:
     kind, *values = line
     if kind not in DRAWN or len(values) != len(signature(DRAWN[kind]).parameters) or str in map(type, values):
-        raise ValueError(f"a line that is none of {', '.join(DRAWN)} with its numbers")
+        raise ValueError(f"a line that is not one of {', '.join(DRAWN)} with its numbers")
     return DRAWN[kind](*(float(v) for v in values))
 
 

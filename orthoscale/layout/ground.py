@@ -109,7 +109,7 @@ def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophot
     gsd, transform, crs = source.claimed.gsd_m, source.claimed.transform, source.claimed.crs
     if gsd is None or transform is None:
         raise InputError(
-            f"{path} has no metres: {source.claimed.why}",
+            f"{path} has no scale in metres: {source.claimed.why}",
             "Give it its scale first: orthoscale fix ORTHO --out SCALED.tif",
         )
     across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
@@ -133,7 +133,7 @@ def _north(source: RasterSource, transform: Affine, pixel: np.ndarray) -> tuple[
         ahead = near_on_map(ahead, source.claimed.crs, x)
     else:
         ahead = np.array([[x, y + 1]])
-        notes = ("north is taken to be where the picture's own y axis points: nothing ties it to the ground",)
+        notes = ("north is assumed along the picture's own y axis: nothing ties it to the ground",)
     right, down = (transformed(ahead, ~transform) - middle)[0] * pixel
     return math.degrees(math.atan2(right, -down)), notes
 
@@ -154,7 +154,7 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
     except InputError:  # there is none, or it is another program's file
         pass
     return None, (
-        f"the uncertainty of the scale is not known: no {report.name} tells it (or give --scale-error PERCENT)",
+        f"the uncertainty of the scale is not known: no {report.name} states it (or give --scale-error PERCENT)",
     )
 
 
@@ -177,7 +177,7 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
         area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
-        raise InputError(f"{path}: no vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
+        raise InputError(f"{path}: not a vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
     if not sound:
         raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
     return area, meta["crs"]

@@ -122,7 +122,7 @@ def _export(path: Path) -> None:
         raise
     except Exception as error:
         raise UsageError(
-            f"--method dense: {DENSE_PACKAGE} could not be made an ONNX file ({error})", INSTALL_DENSE
+            f"--method dense: {DENSE_PACKAGE} could not be converted to ONNX ({error})", INSTALL_DENSE
         ) from error
     finally:
         with suppress(OSError):

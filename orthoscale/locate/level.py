@@ -37,7 +37,7 @@ class LevelledPhoto:
         views, seen = self.photo.views(np.column_stack([x, y]), self.altitude)
         if not seen.any():
             raise TooLittleEvidence(
-                f"it sees the ground too flatly, nowhere from {LOWEST_ELEVATION:g} degrees or more "
+                f"it sees the ground at too low an angle, nowhere from {LOWEST_ELEVATION:g} degrees or more "
                 f"({self.photo.attitude})",
                 "Take a photo that looks further down; if this one does, give its pitch (--pitch).",
             )

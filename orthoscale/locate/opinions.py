@@ -36,7 +36,7 @@ class Opinions:
         """Whether the two agree, in words."""
         verb = "contradict each other" if self.contradict else "agree"
         ratio = self.claimed.value / self.matched.value
-        return f"the {self._who} and the map {verb}: {ratio:.3f} times, {self.sigmas:.1f} sigmas apart"
+        return f"the {self._who} and the map {verb}: ratio {ratio:.3f}, {self.sigmas:.1f} sigmas apart"
 
     @property
     def _who(self) -> str:

@@ -184,7 +184,7 @@ def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> 
         raise TooLittleEvidence(
             f"the picture shows {size[0]:.0f} x {size[1]:.0f} m, {across:.0f} x {down:.0f} px of "
             f"{satellite.source.name}; each side needs {SMALLEST_ON_MAP:.0f} px",
-            "Take a finer map, or a picture from higher up.",
+            "Use a map with smaller pixels, or a picture from higher up.",
         )
     return grid
 

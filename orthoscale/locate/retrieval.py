@@ -73,7 +73,7 @@ class Embedding:
             ) from error
         length = float(np.linalg.norm(vector))
         if not (np.isfinite(length) and length > 0):
-            raise InputError(f"{self.path}: the network's vector is nil or no number", "Export it again.")
+            raise InputError(f"{self.path}: the network's vector is zero or not a number", "Export it again.")
         return vector / length
 
     def _card(self, shape: Sequence[object], text: str | None) -> EmbeddingCard:
@@ -81,7 +81,7 @@ class Embedding:
         if text is None:
             size = fixed or EMBEDDING_SIZE
             self.notes.append(
-                f"{self.path.name} has no card: its input is taken for {size} x {size} px, normalised as for ImageNet"
+                f"{self.path.name} has no card: its input is taken as {size} x {size} px, normalised as for ImageNet"
             )
             return EmbeddingCard(self.path.stem, size, IMAGENET)
         from msgspec import UNSET

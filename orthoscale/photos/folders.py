@@ -43,9 +43,9 @@ def find_photos(paths: Sequence[Path]) -> FoundPhotos:
             unread = [str(each.relative_to(path)) for each in _only_there(inside, photos)]
             if not photos:
                 told = f", only {first_few(unread)}" if unread else ""
-                raise InputError(f"{path}: no photo in this folder that is read{told}", READABLE_PHOTOS)
+                raise InputError(f"{path}: no readable photo in this folder{told}", READABLE_PHOTOS)
             if unread:
-                notes.append(f"{path}: not looked at {first_few(unread)}. {READABLE_PHOTOS}")
+                notes.append(f"{path}: not read: {first_few(unread)}. {READABLE_PHOTOS}")
             named = {each.relative_to(path).as_posix(): each for each in photos}
         elif path.exists():
             named = {path.name: path}

@@ -144,16 +144,16 @@ def open_photo(
     elif tags.pitch is not None:
         if tags.turned and tags.pitch > TURNED_PITCH:
             raise InputError(
-                f"{path}: its pixels were turned by a quarter turn since it was taken; its pitch of {tags.pitch:g} is "
-                "not theirs",
+                f"{path}: it was rotated by a quarter turn after it was taken; its pitch of {tags.pitch:g} no longer "
+                "applies",
                 "Give its pitch and roll (--pitch, --roll), or the photo as the camera wrote it.",
             )
         angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
         sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"
     elif roll:
-        raise UsageError("a roll says nothing of a photo that looks straight down", "Give its pitch too (--pitch).")
+        raise UsageError("a roll means nothing for a photo that looks straight down", "Give its pitch too (--pitch).")
     else:
-        angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
+        angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not state its pitch"
     up = up_from_gimbal(*np.radians(angles))
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
 

@@ -203,7 +203,7 @@ def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -
     overlap = photos_per_place(looking, alone)
     if overlap is not None and round(different := alone.scale.vehicles_used / overlap) < MIN_VEHICLES:
         raise TooLittleEvidence(
-            f"{alone.scale.vehicles_used} boxes in {len(looking)} photos, but {overlap:.1f} of them show each place: "
+            f"{alone.scale.vehicles_used} boxes in {len(looking)} photos, but {overlap:.1f} photos show each place: "
             f"about {different:.0f} different vehicles, {MIN_VEHICLES} are needed",
             "Give photos of more ground.",
         )

@@ -120,7 +120,7 @@ def document(
 def check_ending(path: Path, formats: Sequence[str] = TABLE_SUFFIXES) -> None:
     """Raises UsageError for a name whose ending is none of `formats`."""
     if path.suffix.lower() not in formats:
-        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "The file's ending sets its format.")
+        raise UsageError(f"{path.name} is not one of {', '.join(formats)}", "The file's ending sets its format.")
 
 
 def known(path: Path) -> Callable[[Path], bool] | None:

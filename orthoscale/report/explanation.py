@@ -30,7 +30,7 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     try:
         found = asdict(uncertainty.explain(parts, used, fleet, scale if unit == PER_PIXEL else 0.0))
     except ValueError as error:
-        raise InputError(f"the report is of no use here: {error}", REPORT_WANTED) from error
+        raise InputError(f"the report cannot be used here: {error}", REPORT_WANTED) from error
     return {"scale": scale, "unit": unit, "verdict": str(report.get("verdict", "")), **found, "remarks": said}
 
 

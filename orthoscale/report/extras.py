@@ -54,7 +54,7 @@ def _says_the_same(out: Path, path: Path) -> bool:
     if not ours(out):
         return False
     try:
-        with reading(out, "is no GeoTIFF", "Write it again."), open_dataset(out) as raster:
+        with reading(out, "is not a GeoTIFF", "Write it again."), open_dataset(out) as raster:
             said = [float(line) for line in path.read_text(encoding="ascii").split()]
             return len(said) == 6 and np.allclose(said, _world(raster.transform), rtol=1e-9, atol=1e-9)
     except (InputError, ValueError):

@@ -49,7 +49,9 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
     neither .html nor .png, and what `Outputs` raises.
     """
     if out.suffix.lower() not in DRAWN_AS:
-        raise UsageError(f"{out}: a report is drawn as a page or a picture", "Let its name end in .html or .png.")
+        raise UsageError(
+            f"{out}: a report is drawn as a page or a picture", "Choose a name that ends in .html or .png."
+        )
     with Outputs(overwrite, (path, images)) as outputs:
         partial = outputs.file(out, ours_in_a_folder)
         report = read_json(path)

@@ -109,7 +109,7 @@ def check_on_earth(source: Plan, keep_origin: bool) -> None:
     if _on_earth(source.place(1.0, keep_origin)):
         return
     kept = _on_earth(source.place(1.0, keep_origin=True))
-    raise _nowhere(source.path, "Add --keep-origin, or take" if kept else "Take")
+    raise _nowhere(source.path, "Add --keep-origin, or use" if kept else "Use")
 
 
 def _on_earth(place: Placement) -> bool:
@@ -118,7 +118,7 @@ def _on_earth(place: Placement) -> bool:
 
 def _nowhere(path: Path, take: str) -> UsageError:
     return UsageError(
-        f"--also geojson: the copy of {path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
+        f"--also geojson: the copy of {path} has no place on Earth, and GeoJSON holds longitude and latitude only",
         f"{take} --also gpkg, which keeps local metres.",
     )
 

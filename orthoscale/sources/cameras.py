@@ -74,7 +74,7 @@ def refuse_another(
         apart = min(apart, np.abs(out - away) / extent, key=np.max)
     if apart.max() > ANOTHER_MODEL:
         raise UsageError(
-            f"{source} is another model than the one that was scaled: {list(names)[apart.argmax()]} stands elsewhere",
+            f"{source} is not the model that was scaled: {list(names)[apart.argmax()]} stands elsewhere",
             "Give the sim3.json that `orthoscale fix` wrote for this model; each has a scale of its own.",
         )
 

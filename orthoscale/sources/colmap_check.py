@@ -212,7 +212,7 @@ def _check_pose(where: str, pose: tuple[float, ...], what: str) -> None:
         raise damaged(where, f"the pose of {what} has a value that is not a finite number, or beyond {FARTHEST:g}")
     norm = np.linalg.norm(pose[:4])
     if abs(norm - 1) > 0.01:
-        raise damaged(where, f"the rotation of {what} is no unit quaternion (its norm is {norm:.3g})")
+        raise damaged(where, f"the rotation of {what} is not a unit quaternion (its norm is {norm:.3g})")
 
 
 def _check_cameras(tables: Tables) -> None:
@@ -350,7 +350,7 @@ def _check_rigs(tables: Tables, rigs: dict[int, RigRow], frames: dict[int, Frame
         placed = {(kind, sensor): pose for kind, sensor, pose in sensors} | {sensors[0][:2]: IDENTITY}
         for kind, sensor, data in frame.data:
             if (kind, sensor) not in placed:
-                raise damaged(frame.where, f"frame {number} refers to sensor {sensor}, which rig {frame.rig} has not")
+                raise damaged(frame.where, f"frame {number} refers to sensor {sensor}, which is not in rig {frame.rig}")
             if kind != CAMERA_SENSOR:
                 continue
             if data not in images:

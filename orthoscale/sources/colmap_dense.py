@@ -26,12 +26,12 @@ def dense_of(folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Cal
     if dense is None:
         raise UsageError(
             f"{folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
-            "Remove --dense, or bring it to metres later with `orthoscale apply`.",
+            "Remove --dense, or convert it to metres later with `orthoscale apply`.",
         )
     undistorted = sparse_folders(dense)
     if not undistorted:
         raise InputError(
-            f"{dense} has no undistorted model in sparse/ that would show its depth maps and clouds to be in the "
+            f"{dense} has no undistorted model in sparse/ to show that its depth maps and clouds are in the "
             f"units of {folder}",
             "Run image_undistorter again; or, if you know that they are, use `orthoscale apply`.",
         )

@@ -38,8 +38,8 @@ CAMERA_MODELS = {
 MODEL_IDS = {name: model for model, (name, _, _) in CAMERA_MODELS.items()}
 SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
 NOT_UTF8_HINT = (
-    "Names with letters beyond ASCII that an older Windows program wrote are so: give the images plain names and "
-    "reconstruct again. Else the file is damaged: copy the model again."
+    "Older Windows programs write names beyond ASCII like this: give the images plain names and reconstruct again. "
+    "Otherwise the file is damaged: copy the model again."
 )
 SPHERICAL = ("EQUIRECTANGULAR", "equirectangular", "spherical")  # names in COLMAP and nerfstudio, and in OpenSfM
 CUT_VIEWS = "Cut perspective views out of the panoramas first."

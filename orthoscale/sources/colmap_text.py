@@ -34,10 +34,12 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
             for number, line in enumerate(file, 1):
                 where = f"{path}, line {number}"
                 if number == 1 and line.startswith("\ufeff"):
-                    raise damaged(where, "begins with a byte order mark, which COLMAP cannot read", "Save it without.")
+                    raise damaged(
+                        where, "begins with a byte order mark, which COLMAP cannot read", "Save it without one."
+                    )
                 if not line.endswith("\n"):  # a number may have lost its last digits
                     raise damaged(
-                        where, "the last line has no end", "Copy the file again; if it is whole, end the line."
+                        where, "the last line has no line break", "Copy the file again; if it is complete, add one."
                     )
                 yield where, line.strip()
     except OSError as error:

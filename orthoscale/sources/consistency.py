@@ -192,7 +192,7 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[R
             "Views from different places are needed. If these were, the model is damaged: copy it again.",
         )
     if len(centres) > 2 and extent[1] < ONE_LINE * extent[0]:
-        text = f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"
+        text = f"all {len(centres)} cameras stand on one straight line: nothing off the line holds the model in shape"
         return [Remark(CAUTION, text)]
     return []
 

@@ -28,7 +28,7 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
         return load_fleet("world"), ()
     code = country_at(location.longitude, location.latitude)
     if code is None:
-        return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)
+        return load_fleet("world"), (f"{location.told_by} is not in any country: fleet world",)
     place = f"{location.told_by} is in {country_name(code)}"
     return load_fleet(code), (f"fleet {code}: {place}; choose another with --fleet",)
 

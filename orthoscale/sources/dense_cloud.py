@@ -92,7 +92,7 @@ def find_cloud(folder: Path, progress: Progress | None = None) -> tuple[DenseClo
         if place.is_file():
             text = (
                 f"{place} is in the coordinates of a map, not in the reconstruction's, and is left out; the ground is "
-                "found from the sparse points (odm_filterpoints/point_cloud.ply would be used as well)"
+                "found from the sparse points (odm_filterpoints/point_cloud.ply could be used)"
             )
             return None, [Remark(INFO, text)]
     return None, []
@@ -104,14 +104,14 @@ def cloud_at(path: Path, progress: Progress | None = None) -> DenseCloud:
         fused = path / FUSED_CLOUD
         if not fused.is_file() and not _depth_maps(path):
             raise InputError(
-                f"{path} is no dense workspace of COLMAP: no {FUSED_CLOUD} and no depth maps are in it",
+                f"{path} is not a dense workspace of COLMAP: it has no {FUSED_CLOUD} and no depth maps",
                 "Name a .ply file, or the folder that stereo/ lies in.",
             )
         return DenseCloud(fused if fused.is_file() else path, True, progress)
     if not path.is_file():
         raise absent(path, "Name a dense cloud (.ply) or a dense workspace of COLMAP.")
     if path.suffix.lower() != ".ply":
-        raise InputError(f"{path} is no PLY file", "Export the cloud as .ply, in the reconstruction's coordinates.")
+        raise InputError(f"{path} is not a PLY file", "Export the cloud as .ply, in the reconstruction's coordinates.")
     return DenseCloud(path, True, progress)
 
 
@@ -139,7 +139,7 @@ def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Ite
         name = path.relative_to(top).as_posix()
         name = next(name.removesuffix(kind) for kind in DEPTH_KINDS if name.endswith(kind))
         if name not in images:
-            raise InputError(f"{path}: no image of {sparse[0]} is called so", "Run image_undistorter again.")
+            raise InputError(f"{path}: no image of {sparse[0]} has this name", "Run image_undistorter again.")
         depth, camera = read_depth_map(path), model.camera(images[name].camera_id)
         step = max(1, int(np.ceil(np.sqrt(depth.size * len(maps) / MOST_DENSE_POINTS))))
         row, column = (axis.ravel() for axis in np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step])

@@ -54,14 +54,14 @@ def require_unchanged(stamps: Iterable[Stamp]) -> None:
 
 def changed(path: Path) -> InputError:
     """The error for a file whose content changed while it was in use."""
-    return InputError(f"{path} was changed since it was opened", "Let nothing write it meanwhile, and run again.")
+    return InputError(f"{path} was changed since it was opened", "Make sure that nothing writes it, and run again.")
 
 
 def another(path: Path) -> InputError:
     """The error of a worker whose file is not the one that its task is about."""
     return InputError(
-        f"{path} is another file here than where the run was started, by its size or its time of change",
-        "Give all machines the same files, with their times (cp -p, rsync -t), and let nothing write them meanwhile.",
+        f"{path} differs here from the file where the run was started, in size or time of change",
+        "Give all machines the same files, with their times (cp -p, rsync -t), and make sure that nothing writes them.",
     )
 
 

@@ -79,8 +79,8 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
             raise InputError(
-                f"{what}, and {near} is of another name",
-                "Name the frames as the model does: folders, endings, upper and lower case count.",
+                f"{what}, but {near} has another name",
+                "Name the frames as the model does: folders, endings, upper and lower case matter.",
             )
         raise InputError(
             f"{what}; looked in {given or above}",

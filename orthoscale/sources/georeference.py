@@ -184,7 +184,7 @@ def _on_a_line(points: list[tuple[float, float]]) -> bool:
 def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Claim:
     system = pyproj.CRS.from_user_input(crs)
     if system.is_geocentric:
-        return Claim(None, False, f"{system.name} has its axes from the Earth's centre: no picture lies in it")
+        return Claim(None, False, f"{system.name} is geocentric: no picture can lie in it")
     try:
         across, down, leaning = _ground_steps(dataset.width, dataset.height, t, system)
     except pyproj.exceptions.ProjError as error:
@@ -232,9 +232,9 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     said = "local metres, origin at the lower left corner"
     t = claim.transform
     if claim.usable:
-        said += f"; the georeferencing of the input ({claim.why}) is not in it (--keep-origin keeps its place)"
+        said += f"; the georeferencing of the input ({claim.why}) is not kept (--keep-origin keeps its place)"
     elif t is not None or "not georeferenced" not in claim.why:
-        said += f"; the georeferencing of the input is not used and not in it: {claim.why}"
+        said += f"; the georeferencing of the input is neither used nor kept: {claim.why}"
     if claim.mirrored:
         return CopyGeoreference(
             LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input"

@@ -51,7 +51,9 @@ class GroundPicture:
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError as the frame does."""
         if self.frame is None:
-            raise InputError(f"{self.image}: its frame is not at hand", "Give the folder of the frames with --images.")
+            raise InputError(
+                f"{self.image}: its frame is not available", "Give the folder of the frames with --images."
+            )
         size = 3 * self.width * self.height
         if self.frame.large or size > LARGE_SHARE * budget.memory():
             # Only the window, and no finer than needed: the whole would take as much memory as the frame once more.

@@ -113,7 +113,7 @@ def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], l
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
         raise InputError(
             f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({reason(error)})",
-            "The file may be damaged: copy it again, or write it anew.",
+            "The file may be damaged: copy it again, or export it again.",
         ) from error
 
 
@@ -184,7 +184,7 @@ def build_model(
     for k, (name, (key, rotation, translation)) in enumerate(poses.items(), 1):
         values = np.concatenate([rotation.ravel(), translation])
         if not (np.abs(values) <= FARTHEST).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 0.01:
-            raise ValueError(f"the pose of {name} is no rotation and finite position")
+            raise ValueError(f"the pose of {name} is not a rotation and a finite position")
         quaternion = Rotation.from_matrix(rotation).as_quat()
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), translation)
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=k)

@@ -96,7 +96,7 @@ def _share(tags: Tags) -> tuple[float, tuple[int, int]]:
     if (width == told[0] and height < told[1]) or (height == told[1] and width < told[0]):  # as 16:9 of 4:3
         return 1.0, told
     raise InputError(
-        f"its {width} x {height} px are a part of the {told[0]} x {told[1]} px in its EXIF, made smaller or not",
+        f"its {width} x {height} px are a crop of the {told[0]} x {told[1]} px in its EXIF, possibly reduced",
         "Give its focal length in pixels (--focal-px), or the photo as the camera wrote it.",
     )
 
@@ -192,7 +192,7 @@ def _from_metashape(text: str) -> pycolmap.Camera:
         try:
             return float(found if found is not None else default or 0)
         except ValueError:
-            raise ValueError(f"<{name}> is no number") from None
+            raise ValueError(f"<{name}> is not a number") from None
 
     size, f = (int(value("width")), int(value("height"))), value("f")
     middle = (size[0] / 2 + value("cx", 0.0), size[1] / 2 + value("cy", 0.0))

@@ -25,7 +25,7 @@ class OneFileSource(ColmapSource):
     @cached_property
     def dense(self) -> Path:
         """Raises UsageError: there is no dense workspace of COLMAP."""
-        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
+        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Scale other files with `orthoscale apply`.")
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write the file in metres into the empty `folder`, with what belongs to it, and the files of `Sim3.save`.

@@ -36,7 +36,7 @@ from .raster_copy import SCALE_TAG, Original
 from .raster_display import Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
-OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them along, or write the VRT anew."
+OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them too, or write the VRT again."
 
 STATISTICS = ".aux.xml"  # GDAL and QGIS may write it at any time; it holds no pixels
 
@@ -96,17 +96,17 @@ class RasterSource:
             self.notes.append(Remark(CAUTION, counts))
         if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
             text = (
-                f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "
-                "are those of the pixels as they are stored"
+                f"the picture is to be rotated when shown (EXIF orientation {turned}): coordinates and boxes "
+                "are those of the pixels as stored"
             )
             self.notes.append(Remark(INFO, text))
         if SCALE_TAG in dataset.tags():
-            text = "orthoscale gave it the scale that it has (by its metadata): vehicles that agree do not confirm that"
+            text = "by its metadata, orthoscale gave it its scale: agreement with vehicles does not confirm it"
             self.notes.append(Remark(INFO, text))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
-                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles look it: the scale, the "
+                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles confirm it: the scale, the "
                 "geometric mean of both sides, is less certain (warp it to UTM first)"
             )
             self.notes.append(Remark(CAUTION if squeezed else INFO, text))
@@ -146,7 +146,7 @@ class RasterSource:
     def check_name(out: Path) -> None:
         """Raise UsageError for a name that `write` would refuse."""
         if out.suffix.lower() not in (".tif", ".tiff"):
-            raise UsageError(f"{out.name} would be a GeoTIFF", "Let its name end in .tif.")
+            raise UsageError(f"{out.name} would be a GeoTIFF", "Choose a name that ends in .tif.")
         try:
             str(out).encode()
         except UnicodeEncodeError as error:
@@ -318,7 +318,7 @@ class RasterSource:
             raise InputError(
                 f"{self.path} cannot be read by parts, and {scratch.folder.parent} has no room for a copy of it that "
                 f"can ({in_words(self._decoded_size)} needed, {in_words(free)} free)",
-                "Let TMPDIR name a folder with more room, or convert it to a tiled GeoTIFF.",
+                "Set TMPDIR to a folder with more room, or convert it to a tiled GeoTIFF.",
             )
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its georeferencing does not matter.
@@ -405,7 +405,7 @@ class RasterSource:
         if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
         if original.has_several_nodata:
-            notes.append(f"bands of {self.name} have several values for no data, a GeoTIFF one: {path.name} has a mask")
+            notes.append(f"bands of {self.name} have several nodata values, a GeoTIFF has one: {path.name} has a mask")
         if original.images > 1:
             notes.append(f"{path.name} has only the first of the {original.images} images in {self.name}")
         self.notes += [note for note in informing(notes) if note not in self.notes]

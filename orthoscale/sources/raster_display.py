@@ -143,7 +143,7 @@ def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damag
     if alpha is None or in_order:
         return True
     if alpha in bands:
-        notes.append(Remark(INFO, f"band {alpha} is called alpha, but its description is a colour's: used as that"))
+        notes.append(Remark(INFO, f"band {alpha} is tagged alpha, but described as a colour: used as that"))
         return False
     values = []
     for window in _samples(dataset):
@@ -154,7 +154,7 @@ def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damag
     if between <= MOST_BETWEEN:
         return True
     notes.append(
-        Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
+        Remark(INFO, f"band {alpha} is tagged alpha, but is a picture of its own, such as near infrared: not used")
     )
     return False
 
@@ -180,9 +180,7 @@ def _nodata_masks(
         seen += nothing.size - int(area[~inside].sum())
     if spots <= MOST_SPOTS * seen:
         return True
-    text = (
-        f"the value for no data ({dataset.nodata:g}) is a colour of the picture too, as of white roofs: shown as it is"
-    )
+    text = f"the nodata value ({dataset.nodata:g}) is a colour of the picture too, as of white roofs: shown as it is"
     notes.append(Remark(INFO, text))
     return False
 
@@ -208,7 +206,7 @@ def _stretch(
     if dtypes == {"uint16"} and sample.any():
         for factor in OF_8_BIT:
             if not (sample % factor).any():
-                notes.append(Remark(INFO, f"uint16 values are those of 8 bit times {factor}: shown as they were"))
+                notes.append(Remark(INFO, f"uint16 values are 8-bit values times {factor}: shown as such"))
                 return 0.0, 255.0 * factor
     low, high = (float(v) for v in np.percentile(sample, SHOWN)) if len(sample) else (0.0, 1.0)
     high = high if high > low else low + 1

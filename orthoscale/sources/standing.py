@@ -42,7 +42,7 @@ class Standing:
         if not self.as_on_a_map:
             return ""
         away = f"the copy is {abs(scale - 1) * self.away:,.0f} m away from its place there"
-        return f"its coordinates, as of a map, grow about their own origin: {away}"
+        return f"its coordinates, as on a map, are scaled about their own origin: {away}"
 
 
 def where_gps_says(gps: GpsScale) -> str:

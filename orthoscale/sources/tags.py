@@ -132,10 +132,10 @@ def read_tags(path: Path) -> Tags:
         raise InputError(f"{path}: holds a small preview, as raw photos do", READABLE_PHOTOS)
     xmp, notes = _flat_xmp(packet)
     if complaints:
-        notes.append(f"its EXIF is damaged and was read as far as it goes ({complaints[0].message})")
+        notes.append(f"its EXIF is damaged and was only read in part ({complaints[0].message})")
     pitch, roll, yaw = _angles(xmp, notes)
     if int(_number(base.get(0x0112)) or 1) in (5, 6, 7, 8):
-        notes.append("EXIF says to show it upright by a quarter turn; pixels and angles are those of the sensor")
+        notes.append("EXIF asks for a quarter turn when shown; pixels and angles are those of the sensor")
     unit = MM_PER_UNIT.get(int(_number(exif.get(0xA210)) or 2), 25.4)
     resolution = _positive(exif.get(0xA20E))
     dewarp = _dewarp(xmp.get("DewarpData", ""))
@@ -188,7 +188,7 @@ def _flat_xmp(packet: bytes | str) -> tuple[dict[str, str], list[str]]:
     try:
         root = ElementTree.fromstring(text[start : end + len(closing)])
     except ElementTree.ParseError as error:
-        return {}, [f"its XMP is damaged ({error}) and was passed over"]
+        return {}, [f"its XMP is damaged ({error}) and was ignored"]
     found: dict[str, str] = {}
 
     def collect(element: ElementTree.Element, prefix: str) -> None:
@@ -218,7 +218,7 @@ def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, flo
             notes += _no_pitch(told[0])
             continue
         if pitch == roll == yaw == 0:
-            notes.append("its gimbal angles are all exactly zero, as by a camera that does not know them: passed over")
+            notes.append("its gimbal angles are all exactly zero, as from a camera that does not know them: ignored")
             continue
         return pitch, roll, yaw
     pitch, roll, yaw = (_number(xmp.get(axis)) for axis in ("Pitch", "Roll", "Yaw"))
@@ -232,7 +232,7 @@ def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, flo
 
 
 def _no_pitch(text: str | None) -> list[str]:
-    return [] if text is None else [f"its pitch of {shown(text)!r} is no number: passed over"]
+    return [] if text is None else [f"its pitch of {shown(text)!r} is not a number: ignored"]
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> Rotation:

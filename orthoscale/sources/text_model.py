@@ -116,4 +116,4 @@ def _built(path: Path, text: TextModel, names: list[str], sizes: dict[str, tuple
     try:
         return build_model(cameras, poses, text.points, text.colours.clip(0, 255).astype(np.uint8))
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"{path}: {error}", "The file may be damaged: copy it again, or write it anew.") from error
+        raise InputError(f"{path}: {error}", "The file may be damaged: copy it again, or export it again.") from error

@@ -34,7 +34,7 @@ def require(needed: float, what: str) -> None:
     """Raise InputError if `needed` [byte] exceeds the budget. what : what needs it, as the subject of a sentence."""
     if needed > _budget:
         raise InputError(
-            f"{what} needs {in_words(needed)} of memory, and {in_words(_budget)} are allowed",
+            f"{what} needs {in_words(needed)} of memory, but only {in_words(_budget)} is allowed",
             f"Allow more: --memory {int(-(-needed // 2**30))}G",
         )
 
@@ -47,5 +47,5 @@ def in_words(size: float) -> str:
 def _bytes(text: str) -> int:
     found = re.fullmatch(r"(\d{1,6}(?:\.\d+)?|\d{1,18})\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if found is None:
-        raise UsageError(f"--memory {text!r} is no amount of memory", "Give a number with its unit: 1500M, 2G.")
+        raise UsageError(f"--memory {text!r} is not an amount of memory", "Give a number with its unit: 1500M, 2G.")
     return int(float(found[1]) * _UNITS[found[2].upper()])

@@ -88,7 +88,7 @@ class Reserved:
         """Move what was written into place; or remove what is there, if this output is retired or failed. Raises
         UsageError if the place was changed meanwhile."""
         if identity(self.path) != self.before or (self.path.is_dir() and why_not_ours(self.path)):
-            raise UsageError(f"{self.path} was changed by somebody else meanwhile", "Look at it, and run again.")
+            raise UsageError(f"{self.path} was changed by somebody else meanwhile", "Check it, and run again.")
         if self.retired or self.failed:
             if self.before is not None:
                 self._put_former_aside()

@@ -38,9 +38,12 @@ def cause(
     """
     count = len(apart)
     if count < MIN_COMMON:
-        return Cause.OTHERS, f"few vehicles count in both ({count}), so other vehicles part them, or wrong boxes"
+        return (
+            Cause.OTHERS,
+            f"few vehicles count in both ({count}): other vehicles cause the difference, or wrong boxes",
+        )
     if abs(agreement.difference) < CONTRADICTION * agreement.sd:
-        said = f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes"
+        said = f"the {count} vehicles that count in both agree: other vehicles cause the difference, or wrong boxes"
         return Cause.OTHERS, said
     trend = trend_of(apart, plan, lots_sd=0.0)  # of the same vehicles
     if trend is not None and trend.p_tilt < CHANCE and trend.tilt > NOTABLE:

@@ -17,7 +17,7 @@ FEWEST = 40  # vehicles; with fewer, no realistic gradient is significant
 CHANCE = 0.01  # probability of a false alarm where there is no drift; the two tests share it equally
 NOTABLE = 0.01  # relative change across the picture below which a drift is not reported
 EVEN_SD = 12**-0.5  # standard deviation of a uniform distribution over a range of 1
-TO_MEND = "Straighten the input, measure its parts by themselves, or see whether vehicles differ from place to place"
+TO_MEND = "Straighten the input, measure its parts separately, or check whether vehicles differ from place to place"
 
 
 @dataclass(frozen=True)

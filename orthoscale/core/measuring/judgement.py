@@ -67,7 +67,7 @@ def _shapes(measured: Measurement) -> Judgement | None:
     if abs(difference) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
     if SQUEEZE in scale.parts:  # both are wrong, in opposite directions along x and along y
-        return Judgement(INFO, "Lengths and widths agree on the average of all directions only", detail)
+        return Judgement(INFO, "Lengths and widths agree only on average over all directions", detail)
     return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
 
@@ -91,7 +91,7 @@ def _evidence(measured: Measurement) -> Judgement | None:
     if not (compared := scale.support.compared):
         return None
     kinds = ", ".join(f"{one.kind} {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in compared)
-    detail = f"against all else: {kinds}"
+    detail = f"against everything else: {kinds}"
     if any(one.doubtful for one in compared):
         return Judgement(CAUTION, "Other evidence is doubtful", detail)
     if max(abs(one.difference) for one in compared) > max(scale.half_width, ROUGH):

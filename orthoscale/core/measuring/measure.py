@@ -37,7 +37,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         solved = seen.solved
         if solved.sum() < MIN_VEHICLES:
             raise TooLittleEvidence(
-                f"{amount(int(solved.sum()), 'boxes')} that a vehicle explains, {MIN_VEHICLES} are needed"
+                f"{amount(int(solved.sum()), 'boxes')} that fit a vehicle, {MIN_VEHICLES} are needed"
             )
         sightings = Sightings(
             seen.size, geometry.pixel, geometry.place, boxes.score, boxes.sigma, boxes.kinds, seen.lasting,

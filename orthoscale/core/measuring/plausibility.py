@@ -67,7 +67,7 @@ def if_apart(scale: Scale, used: Boxes) -> Scale:
         return scale
     remark = Remark(
         REFUSAL,
-        f"{100 * share:.0f} % of the vehicles stand in one another: the boxes are no vehicles, or some are there twice",
+        f"{100 * share:.0f} % of the vehicles overlap each other: the boxes are not vehicles, or some are duplicates",
         "Inspect the boxes (--save-detections), or let the built-in detector look",
     )
     return scale.remarked(remark, at_best=UNUSABLE)
@@ -84,8 +84,8 @@ def if_in_order(scale: Scale, used: Boxes) -> Scale:
         return scale
     remark = Remark(
         CAUTION,
-        f"the directions of {pairs} pairs of neighbours agree by {agreement:.2f}, where those of vehicles in lanes and "
-        "rows agree by 0.5 to 1: see whether the boxes are vehicles",
+        f"the directions of {pairs} pairs of neighbours agree by {agreement:.2f}; for vehicles in lanes and rows it is "
+        "0.5 to 1: check whether the boxes are vehicles",
     )
     return scale.remarked(remark, at_best="poor")
 
@@ -97,8 +97,8 @@ def if_unlike(scale: Scale, used: Boxes) -> Scale:
         return scale
     remark = Remark(
         REFUSAL,
-        f"all {len(used)} boxes are of one length, where vehicles differ: panels, graves or machines, or a lot of one "
-        "model of car",
+        f"all {len(used)} boxes are equally long, unlike vehicles: they may be panels, graves or machines, or a lot "
+        "full of one car model",
         "Inspect the boxes (--save-detections); give the vehicles' size (--gsd-hint METRES_PER_PIXEL) if there are any",
     )
     return scale.remarked(remark, at_best=UNUSABLE)
@@ -118,7 +118,7 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
         REFUSAL if far else CAUTION,
         f"vehicles along rows of pixels look {sides} than those along columns: pixels seem to be "
         f"{np.exp(found.log_aspect):.2f} times as wide as high (+-{percent(found.sd)}, {found.sigmas:.1f} sigma), "
-        "beside what the georeferencing says",
+        "besides what the georeferencing says",
         "Warp the picture to square pixels, or give it the georeferencing that it had" if far else "",
     )
     less = scale.with_parts({**scale.parts, SQUEEZE: abs(found.log_aspect) / np.sqrt(8)})
@@ -144,8 +144,8 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
     refused = believed < HARDLY_ANY * seen and scale.half_width > AGREEING
     few = Remark(
         REFUSAL if refused else CAUTION,
-        f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as of mistakes: see why the others do "
-        "not, and whether there are vehicles at all",
+        f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as among false detections: check "
+        "why the others do not, and whether there are vehicles at all",
         INSPECT if refused else "",
     )
     if refused:
@@ -155,8 +155,8 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
         return lower
     remark = Remark(
         REFUSAL,
-        f"{percent(scale.larger_share)} of the boxes are much larger than cars, where most boxes are mistakes: these "
-        "may be the cars, and the others something else",
+        f"{percent(scale.larger_share)} of the boxes are much larger than cars, and most boxes are mistakes: these may "
+        "be the cars, and the others something else",
         INSPECT,
     )
     return lower.remarked(remark, at_best=UNUSABLE)

@@ -63,7 +63,7 @@ def measured_without_vehicles(
 def _too_little(known: str) -> TooLittleEvidence:
     return TooLittleEvidence(
         f"without vehicles, two kinds of evidence that agree are needed (anchors, --known-distance, --ground-control, "
-        f"--against, GPS positions); there is: {known}"
+        f"--against, GPS positions); given: {known}"
     )
 
 

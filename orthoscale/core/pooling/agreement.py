@@ -81,7 +81,7 @@ class Agreement:
         if self.cause:
             so = f"{so}: {self.cause}"
         if self.by_others and not self.contradicts:
-            so = "; they part by vehicles that only one of them counts"
+            so = "; the difference comes from vehicles that only one of them counts"
         return f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {parts}, {self.tension:.1f} sigma{so}"
 
 

@@ -77,7 +77,7 @@ def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
     found = pool_iqr(each, votes.score)
     low, high = found.interval90
     if not low > 0:
-        raise TooLittleEvidence(f"the vehicles scatter so much that the mean of {found.used.sum()} tells no scale")
+        raise TooLittleEvidence(f"the vehicles scatter so much that the mean of {found.used.sum()} gives no scale")
     sd = (high - low) / (2 * Z90 * found.value)
     apart = np.log(each) - np.log(found.value)
     reasons = ["" if u else f"score of {MIN_SCORE:g} or less" for u in found.used]

@@ -103,7 +103,7 @@ def pool(
     best, fleets = _of_candidates(seen, fleet, known, ruler, telling)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
-            f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
+            f"{len(votes)} boxes, but only {int(best.inlier.sum())} fit vehicles at one scale; "
             f"{MIN_VEHICLES} are needed"
         )
     vehicles, parts = _widened(best)

@@ -45,7 +45,7 @@ def read(path: Path, only_picture: bool) -> list[Item]:
         item = _label(words, picture) or _result(words, label)
         if item is None:
             raise InputError(
-                f"{path}: line {number} is no box ({shown(line.strip())!r})",
+                f"{path}: line {number} is not a box ({shown(line.strip())!r})",
                 "Expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult', 'picture score x1 y1 x2 y2 x3 y3 x4 y4', or "
                 "Ultralytics' 'class x1 y1 x2 y2 x3 y3 x4 y4' with corners from 0 to 1.",
             )

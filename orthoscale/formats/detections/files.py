@@ -226,7 +226,7 @@ def _checked(
         raise InputError(f"{path}: {error}", "Give detections with one box for each vehicle.") from error
     copies = len(found) - sum(map(len, single.values()))
     if copies:
-        text = f"{path}: {copies} of its {len(found)} boxes repeat another's vehicle and were left out"
+        text = f"{path}: {copies} of its {len(found)} boxes repeat the vehicle of another and were left out"
         source.notes.append(Remark(INFO, text))
     return replace(found, boxes=single, planar=planar)
 

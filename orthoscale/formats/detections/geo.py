@@ -249,7 +249,7 @@ def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:
     except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         other = "a geometry that is missing" if kind is None else "one with damaged corners"
         raise InputError(
-            f"{what} is no polygon but {other if kind in (None, 'Polygon') else shown(kind)}",
+            f"{what} is not a polygon but {other if kind in (None, 'Polygon') else shown(kind)}",
             "Boxes must be polygons with four corners.",
         ) from error
     if len(ring) and np.array_equal(ring[0], ring[-1]):

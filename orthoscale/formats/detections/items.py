@@ -156,7 +156,7 @@ def _resolved(name: str | None, pictures: Sequence[str], names: dict[str, str | 
         return pictures[0]
     if name is None:
         raise InputError(
-            f"{origin}: a box without a picture, where there are {len(pictures)} pictures",
+            f"{origin}: a box names no picture, but there are {len(pictures)} pictures",
             f"Name the picture of each, {pictures[0]!r} for instance.",
         )
     return name  # a picture that the source does not have

@@ -34,7 +34,9 @@ def save_detections(found: Detections, path: str | Path) -> None:
     """
     path = path_of(path, f"the path of {WHAT}")
     if path.suffix.lower() != ".json" or path.name.lower().endswith(".coco.json"):
-        raise UsageError(f"{path}: boxes are written as JSON here", "Let its name end in .json, not in .coco.json.")
+        raise UsageError(
+            f"{path}: boxes are written as JSON here", "Choose a name that ends in .json, not in .coco.json."
+        )
     path.write_text(json_in_utf8(_document(found), indent=0))
 
 

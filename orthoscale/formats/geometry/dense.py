@@ -16,7 +16,7 @@ from .lengthless import has_lengths
 
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
 MOST_LEFT_NAMED = 20  # files left out that a note names; OpenMVS has a depth map for each image
-COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it anew."
+COMPUTE_ANEW = "The file is damaged or was cut off: copy it or compute it again."
 
 
 def scale_depth_map(source: Path, target: Path, scale: float) -> None:
@@ -105,7 +105,7 @@ def scale_dense(
         out = target / folder.relative_to(source)
         out.mkdir(parents=True, exist_ok=True)
         model(folder, out)
-    notes = [f"{source}: {scaled} depth maps, clouds and meshes brought to metres as well"]
+    notes = [f"{source}: {scaled} depth maps, clouds and meshes converted to metres too"]
     if left:
         notes.append(f"left in {source}, because not in metres: {first_few(left, MOST_LEFT_NAMED)}")
     return notes

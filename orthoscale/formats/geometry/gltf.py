@@ -34,7 +34,7 @@ def scale_glb(source: Path, target: Path, scale: float) -> Referred:
     with source.open("rb") as file:
         head = file.read(20)
         if len(head) < 20:
-            raise InputError(f"{source}: {size} bytes are no glTF file", EXPORT_ANEW)
+            raise InputError(f"{source}: {size} bytes, too few for a glTF file", EXPORT_ANEW)
         magic, version, announced, length, kind = struct.unpack("<4sIIII", head)
         if magic != MAGIC or version != VERSION or kind != JSON_CHUNK:
             raise InputError(f"{source}: not a binary glTF 2.0 file", "Export it as glTF 2.0.")

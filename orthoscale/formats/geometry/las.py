@@ -40,7 +40,7 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
             if user == PROJECTION and (keys or (record == WKT and content.strip(b"\0 "))):
                 raise UsageError(
                     f"{source} is georeferenced, and so not in the model's units",
-                    "Give the cloud as it was before; if its reference is wrong, remove that first.",
+                    "Give the cloud as it was before georeferencing; if its reference is wrong, remove that first.",
                 )
         lengths = struct.unpack_from(f"<{DOUBLES}d", head, HEADER_LENGTHS)
         struct.pack_into(f"<{DOUBLES}d", head, HEADER_LENGTHS, *(value * scale for value in lengths))
@@ -70,7 +70,7 @@ def _walk(
         file.seek(min(start, size))
         record = file.read(struct.calcsize(form))
         if len(record) < struct.calcsize(form):
-            raise InputError(f"{path}: {size} bytes, but records in its header lie behind them", EXPORT_ANEW)
+            raise InputError(f"{path}: {size} bytes, but its header has records beyond its end", EXPORT_ANEW)
         _, user, number, length = struct.unpack(form, record)
         yield user.rstrip(b"\0"), number, file.read(min(length, 64))
         start += len(record) + length

@@ -55,14 +55,16 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
         head = _kept(file, out)
         form = OFF_HEAD.match(head)
         if form is None or form[2] or form[3]:
-            raise InputError(f"{source}: no OFF file of text in three dimensions", "Export it as plain OFF, or as PLY.")
+            raise InputError(
+                f"{source}: not an OFF text file in three dimensions", "Export it as plain OFF, or as PLY."
+            )
         out.write(head)
         counts = head[form.end() :].split(b"#")[0].split()
         if not counts:
             out.write(line := _kept(file, out))
             counts = line.split()
         if not counts or not counts[0].isdigit():
-            raise InputError(f"{source}: no number of vertices where one belongs", EXPORT_ANEW)
+            raise InputError(f"{source}: its number of vertices is missing", EXPORT_ANEW)
         for k in range(vertices := int(counts[0])):
             words = _kept(file, out).split()
             out.write(_scaled(f"{source}, vertex {k} of {vertices}", words, (0, 1, 2), scale))
@@ -71,7 +73,9 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
         for k in range(faces):
             out.write(line := _kept(file, out))
             if not line:
-                raise InputError(f"{source}: {k} of its {faces} faces are there", "A vertex, or a face, a line.")
+                raise InputError(
+                    f"{source}: only {k} of its {faces} faces are there", "Write one vertex or face per line."
+                )
         shutil.copyfileobj(file, out, 1 << 20)
 
 
@@ -129,5 +133,5 @@ def _scaled(
         return (separator or b" ").join(grown(words, columns, scale)) + b"\n"
     except (ValueError, IndexError) as error:
         if any(re.fullmatch(rb"[+-]?\d+,\d+", word) for word in words):
-            raise InputError(f"{place}: numbers with decimal commas", "Export it anew, with points (12.5).") from error
-        raise InputError(f"{place}: no three coordinates where they belong", EXPORT_ANEW) from error
+            raise InputError(f"{place}: numbers with decimal commas", "Export it again, with points (12.5).") from error
+        raise InputError(f"{place}: three coordinates are missing or malformed", EXPORT_ANEW) from error

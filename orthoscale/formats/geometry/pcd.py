@@ -26,7 +26,9 @@ def scale_pcd(source: Path, target: Path, scale: float) -> None:
         decimal = [name for name in row.names or () if row[name].base.kind == "f"]
         lengths = [name for name in row.names or () if name in LENGTHS or (name in SIZES and name in decimal)]
         if len({"x", "y", "z"} & set(lengths)) < 3 or not set(lengths) <= set(decimal):
-            raise InputError(f"{source}: no x, y and z that are decimal numbers", "Export it with float coordinates.")
+            raise InputError(
+                f"{source}: x, y and z are missing or not decimal numbers", "Export it with float coordinates."
+            )
         form = lines[-1].split()[1]
         lines[-1] = "DATA " + form.removesuffix("_compressed")
         for k, line in enumerate(lines):

@@ -128,7 +128,7 @@ def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None
         vertex = elements[0] if elements else None
         names = [name for name, _ in vertex.properties] if vertex else []
         if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
-            raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
+            raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it again.")
         _require(path, file, form, elements)
         # More points would not improve the ground: of very many, only every `step`-th is taken.
         step = -(-vertex.count // most)
@@ -147,7 +147,7 @@ def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None
                 table = np.frombuffer(file.read(many * row.itemsize), row)[-start % step :: step]
                 block = np.column_stack([table[axis].astype(float) for axis in "xyz"])
             if not np.isfinite(block).all():
-                raise InputError(f"{path}: a vertex is not finite, after the {start}th", EXPORT_ANEW)
+                raise InputError(f"{path}: a vertex after number {start} is not finite", EXPORT_ANEW)
             yield block
             if progress is not None:
                 progress(start + many, vertex.count)

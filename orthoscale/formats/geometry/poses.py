@@ -103,9 +103,9 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
     if INTEGER_DEPTH in text:
         text[INTEGER_DEPTH] *= scale
     elif any(frame.get("depth_file_path") for frame in text["frames"]):
-        notes.append(f"the depth maps that it names stay in model units: read them times {scale:.9g}")
+        notes.append(f"the depth maps that it names stay in model units: multiply them by {scale:.9g}")
     if "scale" in text:
-        notes.append('its "scale", which instant-ngp multiplies positions by, is as it was')
+        notes.append('its "scale", which instant-ngp multiplies positions by, is unchanged')
     text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
     cloud = Referred()

@@ -31,14 +31,16 @@ def scale_stl(source: Path, target: Path, scale: float) -> None:
     elif head.lstrip()[:5].lower() == b"solid":  # some binary files begin like this, too
         scale_ascii_stl(source, target, scale)
     else:
-        raise InputError(f"{source}: {size} bytes are no STL file of {count} triangles", EXPORT_ANEW)
+        raise InputError(f"{source}: {size} bytes do not hold an STL file of {count} triangles", EXPORT_ANEW)
 
 
 def scale_splat(source: Path, target: Path, scale: float) -> None:
     """Write the Gaussians in the .splat file `source` to `target` in metres. Raises InputError."""
     size = source.stat().st_size
     if size == 0 or size % GAUSSIAN.itemsize:
-        raise InputError(f"{source}: {size} bytes are no splats of {GAUSSIAN.itemsize} bytes each", EXPORT_ANEW)
+        raise InputError(
+            f"{source}: {size} bytes are not a whole number of splats of {GAUSSIAN.itemsize} bytes each", EXPORT_ANEW
+        )
     _scale(source, target, scale, 0, GAUSSIAN)
 
 

@@ -152,7 +152,7 @@ def _lines(path: Path) -> Iterator[Line]:
 def _damaged(path: Path, why: str) -> InputError:
     return InputError(
         f"{path}: neither Bundler's bundle.out (v0.3) nor VisualSFM's NVM_V3 ({why})",
-        "The file may be damaged or of another version: copy it again, or write it anew.",
+        "The file may be damaged or of another version: copy it again, or export it again.",
     )
 
 

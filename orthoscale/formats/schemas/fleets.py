@@ -62,9 +62,9 @@ class FleetEntry(Struct):
             if sd > WIDEST * getattr(self, axis)[0]:
                 raise ValueError(f"mean_sd: expected at most half of the {axis}")
         if self.shares is not UNSET and not sum(self.shares.values()) > 0:
-            raise ValueError("expected shares of which one is greater than nought")
+            raise ValueError("expected shares with at least one above zero")
         if self.mixture and not sum(part.weight for part in self.mixture) > 0:
-            raise ValueError("expected a mixture of which one weight is greater than nought")
+            raise ValueError("expected a mixture with at least one weight above zero")
 
 
 class Segment(Struct, rename={"class_": "class"}):

@@ -23,8 +23,8 @@ def read_depth(path: Path, factor_told: bool) -> np.ndarray:
     values = _array(path) if path.suffix.lower() == ".npy" else _band(path)
     if values.dtype.kind in "ui" and not factor_told:
         raise InputError(
-            f"{path}: its depths are whole numbers, and nothing says what one is",
-            "Name the metres in one: --depth-factor 0.001 for millimetres.",
+            f"{path}: its depths are whole numbers, and nothing states their unit",
+            "Give the metres per unit: --depth-factor 0.001 for millimetres.",
         )
     depth = values.astype(np.float32)
     depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
@@ -37,7 +37,7 @@ def _array(path: Path) -> np.ndarray:
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, SyntaxError) as error:
-        raise InputError(f"{path}: no NumPy array that can be read", MAP_HINT) from error
+        raise InputError(f"{path}: not a readable NumPy array", MAP_HINT) from error
     values = values.reshape([n for n in values.shape if n != 1]) if values.size else values
     if values.ndim != 2 or values.dtype.kind not in "fui":
         raise InputError(f"{path}: an array of shape {values.shape} and type {values.dtype}, not a depth map", MAP_HINT)

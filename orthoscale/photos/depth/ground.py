@@ -81,7 +81,7 @@ def depth_altitude(photo: Photo, depth: DepthMap, boxes: Boxes, by_vehicles: Mea
     height, width = depth.metres.shape
     if abs(np.log(width / height * photo.tags.height / photo.tags.width)) > 0.02:
         raise InputError(
-            f"{depth.origin}: {width} x {height} depths are not of the field of {photo.name}, "
+            f"{depth.origin}: {width} x {height} depths do not cover the field of view of {photo.name}, "
             f"{photo.tags.width} x {photo.tags.height} px",
             "Give the depth of the whole photo, unturned; any resolution will do.",
         )
@@ -93,7 +93,7 @@ def depth_altitude(photo: Photo, depth: DepthMap, boxes: Boxes, by_vehicles: Mea
     below[_covered(photo, boxes, _rings(boxes))] = np.nan
     known = np.isfinite(below).sum(1) >= FEWEST_POINTS
     if not known.any():
-        raise InputError(f"{depth.origin}: no depth of the ground around the vehicles", "Look at the map.")
+        raise InputError(f"{depth.origin}: no depth of the ground around the vehicles", "Inspect the depth map.")
     around = np.nanmedian(below[known], axis=1)
     _refuse_inverse(photo, depth, boxes[known], around)
     altitude = float(np.median(around))

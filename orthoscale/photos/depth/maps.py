@@ -31,14 +31,14 @@ class Depths:
         if path.suffix.lower() == ".onnx":
             if factor is None:
                 raise UsageError(
-                    f"whose network is {path.name}, and what is a unit of its depth?",
-                    f"Name it: --depth-factor {'|'.join(RULES)}, or the metres in one unit.",
+                    f"{path.name}: nothing states the unit of this network's depth",
+                    f"Name the network, --depth-factor {'|'.join(RULES)}, or give the metres per unit.",
                 )
             self._network = DepthNetwork(path, self._rule)
         elif not path.is_dir():
             if path.suffix.lower() not in MAP_ENDINGS:
                 raise UsageError(
-                    f"{path.name} is none of {', '.join(MAP_ENDINGS)}, .onnx", "Its ending sets its format."
+                    f"{path.name} is not one of {', '.join(MAP_ENDINGS)}, .onnx", "Its ending sets its format."
                 )
             if several:
                 raise UsageError(
@@ -78,5 +78,5 @@ class Depths:
                     return path
         raise InputError(
             f"{self._path}: no depth map of {photo.name}",
-            f"It is looked for as {name.stem}{MAP_ENDINGS[0]} and the like.",
+            f"Expected {name.stem}{MAP_ENDINGS[0]} or the like.",
         )

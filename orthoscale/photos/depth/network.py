@@ -70,7 +70,7 @@ class DepthNetwork:
             ) from error
         values = depth.astype(np.float32).reshape([n for n in depth.shape if n != 1])
         if values.ndim != 2:
-            raise InputError(f"{self.path}: its output {list(depth.shape)} is no depth map", NETWORK_HINT)
+            raise InputError(f"{self.path}: its output {list(depth.shape)} is not a depth map", NETWORK_HINT)
         return _cropped(values, rows, columns, (top, left, high, wide)), float(
             np.sqrt(picture.width * picture.height / (wide * high))
         )

@@ -59,7 +59,7 @@ def rule_of(told: str | None) -> Rule:
         factor = math.nan
     if not 0 < factor <= LARGEST_UNIT:
         raise UsageError(
-            f"--depth-factor {told} is no number of metres and no network known here",
+            f"--depth-factor {told} is neither a number of metres nor a known network",
             f"Give the metres in one unit of the depth (0.001 for millimetres), or one of {', '.join(RULES)}.",
         )
     return Rule(f"{factor:g} m", factor)
