@@ -64,9 +64,9 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     ratio = float(np.exp(weight * np.median(log_ratio)))
     name, lens, has = told[0]
     what += (
-        f"; cameras are assumed {100 * (ratio - 1):+.0f} % higher, by {lens.focal_px:.0f} px ({lens.source}) in {name}"
+        f"; cameras are assumed {100 * abs(ratio - 1):.0f} % {'higher' if ratio > 1 else 'lower'}, "
+        f"by {lens.focal_px:.0f} px ({lens.source}) in {name} against {has:.0f} px"
     )
-    what += f" against {has:.0f} px"
     return FocalDoubt(ratio, sd * by_lens / float(np.hypot(sd, by_lens)), what)
 
 

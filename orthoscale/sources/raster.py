@@ -106,8 +106,8 @@ class RasterSource:
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
-                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles confirm it: the scale, the "
-                "geometric mean of both sides, is less certain (warp it to UTM first)"
+                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles appear so too: the scale, "
+                "the geometric mean of both sides, is less certain (warp it to UTM first)"
             )
             self.notes.append(Remark(CAUTION if squeezed else INFO, text))
 

@@ -155,8 +155,8 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
         return lower
     remark = Remark(
         REFUSAL,
-        f"{percent(scale.larger_share)} of the boxes are much larger than cars, and most boxes are mistakes: these may "
-        "be the cars, and the others something else",
+        f"{percent(scale.larger_share)} of the boxes are much larger than cars, as where most are mistakes: these "
+        "may be the cars, and the others something else",
         INSPECT,
     )
     return lower.remarked(remark, at_best=UNUSABLE)
