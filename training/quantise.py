@@ -77,15 +77,18 @@ def in_8_bits(network: Path, shown: Iterable[Mapping[str, np.ndarray]], out: Pat
 
 def _of_integers(nodes: Iterable[Any], left: Callable[[str], bool]) -> list[str]:
     """Names of the `nodes` (in the order of their computation) that are to compute in integers."""
-    computed: dict[str, bool] = {}  # outputs of nodes, and whether these compute in integers
+    computed: dict[str, bool] = {}  # outputs of nodes but constants, and whether these compute in integers
     names = []
     for node in nodes:
-        inputs = [computed[name] for name in node.input if name in computed]
-        integers = node.op_type == "Conv" and not left(node.name)
-        if integers or (node.op_type in FOLLOW and inputs and all(inputs)):
+        if node.op_type == "Conv":
+            integers = not left(node.name)
+        else:
+            inputs = [computed[name] for name in node.input if name in computed]
+            integers = node.op_type in FOLLOW and bool(inputs) and all(inputs)
+        if integers:
             names.append(node.name)
         if node.op_type != "Constant":
-            computed.update(dict.fromkeys(node.output, node.name in names[-1:]))
+            computed.update(dict.fromkeys(node.output, integers))
     return names
 
 

@@ -89,19 +89,12 @@ def estimate(
     `requests.EstimateRequest` has the defaults, and which options exclude each other. Raises InputError, UsageError (no
     such option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
-    return estimated(path, EstimateRequest.of(options), progress)
+    return noted(measured(path, EstimateRequest.of(options), progress))
 
 
-def estimated(
-    path: str | Path | Source,
-    request: EstimateRequest,
-    progress: Progress | None = None,
-    on_boxes: OnBoxes | None = None,
-    alone: bool = True,
-) -> Result:
-    """As `measured`, with a note on a model that does not count as metric, but whose unit is nearly a metre (`check`
-    compares it with a metre instead)."""
-    result = measured(path, request, progress, on_boxes, alone)
+def noted(result: Result) -> Result:
+    """`result` with a note on a model that does not count as metric, but whose unit is nearly a metre. (`check`, which
+    compares it with a metre, needs none.)"""
     scale = result.scale.remarked(*perhaps_metric(result.source, result.scale))
     return replace(result, measured=replace(result.measured, scale=scale))
 

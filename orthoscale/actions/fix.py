@@ -20,7 +20,7 @@ from ..sources.opening import AN_INPUT
 from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
-from .estimate import estimated
+from .estimate import measured, noted
 from .kept_boxes import KeptBoxes
 from .opening import source_of
 
@@ -76,7 +76,7 @@ def written(
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, boxes = begun.source, begun.writer, begun.boxes
         with boxes.also_without_scale():
-            result = estimated(source, request.estimating(), progress, boxes.take, alone)
+            result = noted(measured(source, request.estimating(), progress, boxes.take, alone))
             boxes.take(result.detections, source)
             if not request.force:
                 result.require_useful()

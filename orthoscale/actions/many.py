@@ -31,7 +31,7 @@ from ..system.budget import allow, memory
 from ..system.paths import absolute
 from ..system.threads import Threads
 from .check import checked
-from .estimate import estimated
+from .estimate import measured, noted
 from .finished import finished
 from .fix import written
 from .inputs import outputs_of
@@ -145,7 +145,7 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
         return
     request = EstimateRequest.of(job["settings"])
     if job["action"] == "estimate":
-        result = estimated(path, request, alone=job["alone"])
+        result = noted(measured(path, request, alone=job["alone"]))
         _fill_by_result(row, result)
         result.require_useful()
         return

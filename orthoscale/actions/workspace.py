@@ -14,7 +14,7 @@ from ..report.result import Result
 from ..requests import EstimateRequest, FixRequest
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import Outputs
-from .estimate import estimated
+from .estimate import measured, noted
 from .fix import written
 
 if TYPE_CHECKING:
@@ -63,7 +63,11 @@ def models_in(path: Path) -> list[Path]:
 
 def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[ModelOutcome]:
     """`estimate` for each of `models`. Raises the first error if none has a scale."""
-    return _checked([_one(model, partial(estimated, model, request, progress)) for model in models])
+
+    def estimated(model: Path) -> Result:
+        return noted(measured(model, request, progress))
+
+    return _checked([_one(model, partial(estimated, model)) for model in models])
 
 
 def fix_all(

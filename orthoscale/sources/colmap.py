@@ -20,6 +20,7 @@ from ..formats.geometry.dense import scale_dense
 from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import Sim3
 from ..formats.points import coordinates, number, pixel
+from .already_metric import FromOrigin, where_gps_says
 from .cameras import SCALED_MARK, refuse_another
 from .colmap_beside import copy_beside
 from .colmap_check import open_model
@@ -37,7 +38,6 @@ from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 from .positions import gps_scale
-from .standing import Standing, where_gps_says
 from .undistort import undistort
 
 if TYPE_CHECKING:
@@ -203,16 +203,16 @@ class ColmapSource:
         return self.scaled_already or self._georeferenced
 
     @cached_property
-    def _standing(self) -> Standing:
-        return Standing.of(np.array(list(self._cameras.values())))
+    def _from_origin(self) -> FromOrigin:
+        return FromOrigin.of(np.array(list(self._cameras.values())))
 
     @cached_property
     def _georeferenced(self) -> str:
-        return self._standing.as_on_a_map or where_gps_says(self.gps)
+        return self._from_origin.as_on_a_map or where_gps_says(self.gps)
 
     def _tell_moved(self, scale: float) -> None:
         """Note that a model in map coordinates moves when it is scaled by `scale` about their origin."""
-        if moved := self._standing.moved(scale):
+        if moved := self._from_origin.moved(scale):
             self.notes.append(Remark(INFO, moved))
 
     @cached_property

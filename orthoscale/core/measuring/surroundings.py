@@ -132,8 +132,7 @@ def _on_the_ground(
     [source units]; None if there are none."""
     parts, views, places = [], [], []
     for name, boxes in each.items():
-        last = np.subtract(source.image_size(name), CLEAR_OF_BORDER)
-        boxes = boxes[np.flatnonzero(((boxes.corners >= CLEAR_OF_BORDER) & (boxes.corners <= last)).all((1, 2)))]
+        boxes = boxes[boxes.inside(*source.image_size(name), CLEAR_OF_BORDER)]
         if not len(boxes):
             continue
         view, place, ok = source.views(name, boxes.centre)

@@ -15,14 +15,14 @@ GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit
 
 
 @dataclass(frozen=True)
-class Standing:
+class FromOrigin:
     """away : distance of a model's cameras from its origin, extent : theirs [model units]."""
 
     away: float
     extent: float
 
     @classmethod
-    def of(cls, centres: np.ndarray) -> Standing:
+    def of(cls, centres: np.ndarray) -> FromOrigin:
         """Of the camera centres (N, 3)."""
         return cls(float(np.linalg.norm(np.median(centres, axis=0))), float(np.linalg.norm(np.ptp(centres, axis=0))))
 
