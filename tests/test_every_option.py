@@ -74,7 +74,7 @@ ASKED = {
 }
 # Where the request of a command arrives, with the positional and named arguments that it comes with.
 ACTIONS = {
-    "estimate": ("orthoscale.actions.estimate.estimated", ("ORTHO",)),
+    "estimate": ("orthoscale.actions.estimate.measured", ("ORTHO",)),
     "fix": ("orthoscale.actions.fix.written", ("ORTHO", "--out", "NEW.tif")),
     "check": ("orthoscale.actions.check.checked", ("ORTHO",)),
     "anchors": ("orthoscale.actions.list_anchors.list_anchors", ("ORTHO",)),

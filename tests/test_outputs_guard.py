@@ -885,7 +885,7 @@ def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
 
 @pytest.mark.parametrize("name", ["out.png", os.fsdecode(b"\xff.tif")])
 def test_a_name_that_no_geotiff_can_have_is_refused_before_any_work(ortho, name, monkeypatch):
-    monkeypatch.setattr("orthoscale.actions.fix.estimated", lambda *_: pytest.fail("worked before"))
+    monkeypatch.setattr("orthoscale.actions.fix.measured", lambda *_: pytest.fail("worked before"))
     done = fixed(ortho, ortho.parent / name)
     assert done.returncode == 2 and ("GeoTIFF" in done.stderr or "UTF-8" in done.stderr)
 
