@@ -9,7 +9,7 @@ import difflib
 import math
 import numbers
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import Field, dataclass, field
+from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,11 @@ class Option:
 def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
     """A field of a request, with its `Option` as metadata; for arguments see there."""
     return field(default=default, metadata={"option": Option(kind, help, group, **more)})
+
+
+def options_in(request: Any) -> list[Field]:
+    """The fields of a request, or of its class, that are options."""
+    return [each for each in fields(request) if "option" in each.metadata]
 
 
 def flag(of: Field) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from .anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
 from .errors import UsageError
-from .option import checked, flag, names_file, nearest, option
+from .option import checked, flag, names_file, nearest, option, options_in
 
 if TYPE_CHECKING:
     from typing import Self
@@ -44,7 +44,7 @@ def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> st
     """The command line that repeats an estimate of `path` with the `settings` of its report that differ from the
     defaults. folder : the one that relative paths start from, entered with `cd` first; '' for none."""
     words = ["orthoscale", "estimate", path]
-    for each in fields(EstimateRequest):
+    for each in options_in(EstimateRequest):
         value = settings.get(each.name)
         if value is None or value == each.default:
             continue
@@ -105,7 +105,7 @@ class VehicleRequest:
 
     def __post_init__(self) -> None:
         """Raises UsageError for values of the wrong kind and for options that exclude each other."""
-        for each in fields(self):
+        for each in options_in(self):
             object.__setattr__(self, each.name, checked(each, getattr(self, each.name)))
         if self.zoom is not None and self.gsd_hint is not None:
             raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
@@ -116,7 +116,7 @@ class VehicleRequest:
     def inputs(self) -> list[Path]:
         """The files and folders that the options name, whether or not they exist."""
         found = []
-        for each in fields(self):
+        for each in options_in(self):
             value = getattr(self, each.name)
             for one in value if isinstance(value, tuple) else (value,):
                 if names_file(each, one):
@@ -131,7 +131,7 @@ class VehicleRequest:
                 return tuple(absolute(of, one) for one in value)
             return str(Path(value).absolute()) if names_file(of, value) else value
 
-        return replace(self, **{each.name: absolute(each, getattr(self, each.name)) for each in fields(self)})
+        return replace(self, **{each.name: absolute(each, getattr(self, each.name)) for each in options_in(self)})
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -140,14 +140,14 @@ class VehicleRequest:
 
     def _refuse(self, names: Iterable[str], why: str) -> None:
         """Raise UsageError if one of the options `names` is not at its default. why : the reason, for the message."""
-        for each in fields(self):
+        for each in options_in(self):
             if each.name in names and getattr(self, each.name) != each.default:
                 raise UsageError(f"{flag(each)} does nothing here: {why}", f"Remove {flag(each)}.")
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> Self:
         """The request with the options `keywords`. Raises UsageError; for a misspelt name it suggests the right one."""
-        known = [each.name for each in fields(cls)]
+        known = [each.name for each in options_in(cls)]
         for name in keywords:
             if name not in known:
                 raise UsageError(f"no option is called {name!r}", nearest(name, known))
@@ -155,16 +155,16 @@ class VehicleRequest:
 
     def refuse_others(self, names: Collection[str], why: str) -> None:
         """Raise UsageError if an option other than `names` is not at its default. why : the reason, for the message."""
-        self._refuse([each.name for each in fields(self) if each.name not in names], why)
+        self._refuse([each.name for each in options_in(self) if each.name not in names], why)
 
     def without(self, names: Iterable[str], **other: Any) -> Self:
         """The same with the options `names` at their defaults, and the `other` options at the given values."""
-        changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
+        changed: dict[str, Any] = {each.name: each.default for each in options_in(self) if each.name in names}
         return replace(self, **changed | other)
 
     def settings(self) -> dict[str, Any]:
         """The options that are not at their defaults, as JSON values; the request can be repeated with them."""
-        every = ((each, getattr(self, each.name)) for each in fields(self))
+        every = ((each, getattr(self, each.name)) for each in options_in(self))
         said = {each.name: value for each, value in every if value != each.default}
         return {name: str(value) if isinstance(value, Path) else value for name, value in said.items()}
 
@@ -321,6 +321,8 @@ class EstimateRequest(VehicleRequest):
         is_file=_is_json,
         metavar="KIND=M",
     )
+    alone: bool = True
+    """No option: whether the request is for one input only, so that boxes of a single picture are for that input."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,6 +20,7 @@ from support.courts import (
     tennis,
     volleyball,
 )
+from support.pictures import ODD_PICTURES
 
 from orthoscale.anchors.court_fit import CourtFit
 from orthoscale.anchors.court_models import CENTRE_CIRCLE, HANDBALL_COURT, TENNIS_COURT
@@ -288,17 +289,7 @@ def test_a_circle_without_a_halfway_line_is_none():
     assert FOOTBALL.find(court_picture([([line, ring], (35, 35), 0.4)], 0.25, (280, 280), ground=GRASS), 0.25, SD, "")
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        np.zeros((1, 1, 3), np.uint8),
-        np.zeros((5, 900, 3), np.uint8),
-        np.full((200, 200, 3), 255, np.uint8),
-        np.random.default_rng(0).integers(0, 256, (250, 240, 3), np.uint8),
-        np.kron(np.indices((40, 40)).sum(0) % 2, np.ones((6, 6)))[..., None].repeat(3, 2).astype(np.uint8) * 255,
-    ],
-    ids=["one pixel", "a strip", "white", "noise", "chequered"],
-)
+@pytest.mark.parametrize("picture", ODD_PICTURES.values(), ids=ODD_PICTURES)
 @pytest.mark.parametrize("gsd", [0.05, 0.3, 0.55, 5.0])
 def test_an_odd_picture_has_no_court(picture, gsd):
     assert list(TENNIS.find(picture, gsd, 0.1, "US")) == []

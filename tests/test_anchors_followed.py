@@ -8,6 +8,7 @@ import pytest
 from support.courts import court_picture, tennis
 from support.gridiron import YARD, field_picture
 from support.markings import PAINT, picture, stroke
+from support.pictures import ODD_PICTURES
 from support.rails import RUST, SLAB, railway, track
 from support.running import LAWN, RED, running_track
 
@@ -180,17 +181,7 @@ def test_a_tennis_court_is_none():
 
 
 @pytest.mark.parametrize("finder", FINDERS, ids=lambda finder: finder.kind)
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.zeros((1, 1, 3), np.uint8),
-        np.zeros((5, 900, 3), np.uint8),
-        np.full((200, 200, 3), 255, np.uint8),
-        np.random.default_rng(0).integers(0, 256, (250, 240, 3), np.uint8),
-        np.kron(np.indices((40, 40)).sum(0) % 2, np.ones((6, 6)))[..., None].repeat(3, 2).astype(np.uint8) * 255,
-    ],
-    ids=["one pixel", "a strip", "white", "noise", "chequered"],
-)
+@pytest.mark.parametrize("image", ODD_PICTURES.values(), ids=ODD_PICTURES)
 @pytest.mark.parametrize("gsd", (0.05, 0.3))
 def test_an_odd_picture_has_none(finder, image, gsd):
     assert list(finder.find(image, gsd, 0.1, "US")) == []

@@ -224,14 +224,15 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])
-def test_boxes_of_one_picture_are_not_those_of_every_other(parks, tmp_path, more):
+@pytest.mark.parametrize("action", ["estimate", "fix"])
+def test_boxes_of_one_picture_are_not_those_of_every_other(parks, tmp_path, action, more):
     boxes = json.loads((parks / "boxes.json").read_text())
     boxes["pictures"] = {"c.png": boxes["pictures"]["a.png"]}
     (tmp_path / "c.json").write_text(json.dumps(boxes))
     pictures = [parks / "pictures/a.png", parks / "pictures/b.png"]
     words = ["--detections", tmp_path / "c.json", "--fleet", "DE", "--anchors", "none", *more]
-    for several, code in ((pictures, 5), (pictures[:1], 0)):
-        done = run("estimate", *several, *words)
+    for several, out, code in ((pictures, "copies", 5), (pictures[:1], "copy.tif", 0)):
+        done = run(action, *several, *words, *(["--out", tmp_path / out] if action == "fix" else []))
         assert done.returncode == code, done.stderr
         assert ("its only picture is not in" in done.stdout + done.stderr) == (code == 5)
 

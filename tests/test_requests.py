@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
@@ -20,7 +20,7 @@ from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.cli.photo_options import LENS_FLAGS
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import TooLittleEvidence, UsageError
-from orthoscale.option import flag
+from orthoscale.option import flag, options_in
 from orthoscale.report.extras import WRITERS
 from orthoscale.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest
 
@@ -81,7 +81,7 @@ OF_ORTHOPHOTO = {"fast", "target", "keep_origin", "cog", "also"}
 
 
 def test_the_table_has_every_option():
-    assert set(SAID) == {each.name for each in fields(FixRequest)}
+    assert set(SAID) == {each.name for each in options_in(FixRequest)}
 
 
 @pytest.mark.parametrize("name", SAID)
@@ -100,8 +100,8 @@ def test_with_boxes_from_a_file_what_looks_for_them_is_refused(name):
 def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, command):
     """Each alone: on an orthophoto, on a model, by command and option. No detector runs: boxes come from a file."""
     kind = EstimateRequest if command == "estimate" else FixRequest
-    if name not in {each.name for each in fields(kind)}:
-        option = flag(next(each for each in fields(FixRequest) if each.name == name))
+    if name not in {each.name for each in options_in(kind)}:
+        option = flag(next(each for each in options_in(FixRequest) if each.name == name))
         assert run(command, park / "park.png", option).returncode == 2
         return
     request = kind(**{name: SAID[name]})
@@ -177,7 +177,7 @@ def test_no_option_of_any_command_is_unknown_to_its_function(name):
                 command.callback.__code__.co_varnames)  # fmt: skip
     known = (
         taken
-        | {each.name for kind in (FixRequest, PhotoRequest) for each in fields(kind)}
+        | {each.name for kind in (FixRequest, PhotoRequest) for each in options_in(kind)}
         | {"fleet", "gsd", "local_fleet"}
     )
     known |= {"paths", "summary", "jobs"}  # of `cli.many.inputs`
@@ -312,7 +312,7 @@ def test_a_request_is_a_value():
 def test_keywords_for_type_checkers_are_the_fields(request_type, options):
     names = vars(requests) | {"Any": object}
     hints = get_type_hints(request_type, names)
-    assert get_type_hints(options, names) == {each.name: hints[each.name] for each in fields(request_type)}
+    assert get_type_hints(options, names) == {each.name: hints[each.name] for each in options_in(request_type)}
 
 
 @pytest.mark.parametrize(
@@ -321,7 +321,7 @@ def test_keywords_for_type_checkers_are_the_fields(request_type, options):
 )
 def test_a_commands_options_are_the_fields(command, request_type):
     options = {option.name: option for option in cli.get_command(None, command).params}
-    for each in fields(request_type):
+    for each in options_in(request_type):
         about = each.metadata["option"]
         made = options[each.name]
         assert made.help == about.help and made.opts[0] == flag(each)
@@ -333,7 +333,7 @@ def test_the_command_line_says_nothing_of_its_own(park):
     """Without options it asks for what the library asks for by default."""
     command = cli.get_command(None, "fix")
     said = command.make_context("fix", [str(park / "park.png"), "--out", "x.tif"]).params
-    assert FixRequest.of({each.name: said[each.name] for each in fields(FixRequest)}) == FixRequest()
+    assert FixRequest.of({each.name: said[each.name] for each in options_in(FixRequest)}) == FixRequest()
 
 
 def test_choices_are_those_that_there_is_something_for():

@@ -38,16 +38,15 @@ log = logging.getLogger(__name__)
 
 
 def boxes_of(
-    asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
+    asked: Opened, request: EstimateRequest, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The boxes to measure, from a file or by a detector, with the ruler that belongs to them.
 
-    alone : whether `request` is for this input only. Raises InputError, UsageError, TooLittleEvidence,
-    EvidenceDisagrees.
+    Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
     choice = None
     if request.detections is not None:
-        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
+        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, request.alone)
     else:
         found, choice = _looked_for(asked.source, request, asked.fleet, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)

@@ -80,12 +80,11 @@ def checked(
     request: EstimateRequest,
     progress: Progress | None = None,
     on_boxes: OnBoxes | None = None,
-    alone: bool = True,
 ) -> Checked:
-    """Check the input at `path` as `request` says; see `check`. on_boxes, alone : as in `measured`."""
+    """Check the input at `path` as `request` says; see `check`. on_boxes : as in `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress, on_boxes, alone)
+    result = measured(source, request, progress, on_boxes)
     found = comparisons(result)
     if source.posed is not None and not found and not source.metric_already:
         result.require_useful()

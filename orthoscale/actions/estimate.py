@@ -118,12 +118,10 @@ def measured(
     request: EstimateRequest,
     progress: Progress | None = None,
     on_boxes: OnBoxes | None = None,
-    alone: bool = True,
 ) -> Result:
     """Measure the input at `path` as `request` says; see `estimate`.
 
-    on_boxes : called as soon as boxes are found, also if these give no scale. alone : whether `request` is for this
-    input only.
+    on_boxes : called as soon as boxes are found, also if these give no scale.
     """
     started = time.perf_counter()
     log.info("measuring %s", path)
@@ -141,7 +139,7 @@ def measured(
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
         try:
-            found, choice = boxes_of(asked, request, progress, alone)
+            found, choice = boxes_of(asked, request, progress)
             if on_boxes is not None:
                 on_boxes(found, source)
             answer = _of_vehicles(asked, found, method, request, wanted)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from ..core.source import Source
 from ..errors import InputError, UsageError
-from ..option import flag
+from ..option import flag, options_in
 from ..report.document import completed, read_json
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
@@ -101,7 +100,7 @@ def _other_options(request: FixRequest, settings: Mapping[str, Any]) -> list[str
     asked = json.loads(json.dumps(request.with_absolute_paths().settings()))
     return [
         flag(each)
-        for each in fields(request)
+        for each in options_in(request)
         if each.name not in SAME_COPY
         and asked.get(each.name) != settings.get(each.name)
         and not (each.name in PERMITTING and asked.get(each.name))

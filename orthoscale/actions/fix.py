@@ -69,14 +69,13 @@ def written(
     request: FixRequest,
     progress: Progress | None = None,
     save_detections: Path | None = None,
-    alone: bool = True,
 ) -> Result:
-    """Write the copy of the input at `path` that `request` asks for at `out`; see `fix`. alone : as in `measured`."""
+    """Write the copy of the input at `path` that `request` asks for at `out`; see `fix`."""
     with Outputs(request.overwrite, (path, request.inputs)) as outputs:
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, boxes = begun.source, begun.writer, begun.boxes
         with boxes.also_without_scale():
-            result = noted(measured(source, request.estimating(), progress, boxes.take, alone))
+            result = noted(measured(source, request.estimating(), progress, boxes.take))
             boxes.take(result.detections, source)
             if not request.force:
                 result.require_useful()

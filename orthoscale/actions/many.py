@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -136,20 +137,20 @@ def one(job: Job) -> Row:
 
 def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     if job["action"] == "fix":
-        out, asked = Path(job["out"]), FixRequest.of(job["settings"])
+        out, asked = Path(job["out"]), replace(FixRequest.of(job["settings"]), alone=job["alone"])
         if (done := finished(path, out, asked)) is not None:
             _fill(row, *done)
         else:
-            _fill_by_result(row, written(path, out, asked, alone=job["alone"]))
+            _fill_by_result(row, written(path, out, asked))
         row["output"] = job["out"]
         return
-    request = EstimateRequest.of(job["settings"])
+    request = replace(EstimateRequest.of(job["settings"]), alone=job["alone"])
     if job["action"] == "estimate":
-        result = noted(measured(path, request, alone=job["alone"]))
+        result = noted(measured(path, request))
         _fill_by_result(row, result)
         result.require_useful()
         return
-    outcome = checked(path, request, alone=job["alone"])
+    outcome = checked(path, request)
     _fill_by_result(row, outcome.result)
     for claim in outcome.comparisons:
         row |= {"claimed": claim.claimed, "claim": claim.verdict}

@@ -24,12 +24,11 @@ def rehearsal(
     save_detections: Path | None = None,
     overwrite: bool = False,
     needs_claim: bool = False,
-    alone: bool = True,
 ) -> list[tuple[str, str]]:
     """What would be done with the input at `path`, and what `fix` would write at `out`: labels and texts.
 
     save_detections : the file that would keep the boxes; overwrite : whether it may be replaced (for `fix`, the request
-    says so). needs_claim : whether it is for `check`, which compares the input's claim. alone : as in `measured`.
+    says so). needs_claim : whether it is for `check`, which compares the input's claim.
     Raises what the command raises before it measures.
     """
     asked = opened(path, request)
@@ -39,7 +38,7 @@ def rehearsal(
     rows = [("input", f"{path}: {_kind(source)}"), ("fleet", f"{asked.fleet.code} ({asked.fleet.name})")]
     rows += [("why", why) for why in asked.why]
     if request.detections is not None:
-        boxes = load_detections(Path(request.detections), source, request.vehicle_classes, alone)
+        boxes = load_detections(Path(request.detections), source, request.vehicle_classes, request.alone)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
         rows.append(("detector", detector_of(source, request).name))

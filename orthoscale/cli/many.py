@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -81,13 +81,13 @@ def rehearse(
     """
     from ..actions.rehearsal import rehearsal
 
-    codes, told = [], []
+    codes, told, request = [], [], replace(request, alone=len(paths) == 1)
     for path, out in zip(paths, outs or [None] * len(paths), strict=True):
         try:
             if out is not None and leave(path, out):
                 rows = [("input", str(path)), ("is there", str(out))]
             else:
-                rows = rehearsal(path, request, out, save_detections, overwrite, needs_claim, len(paths) == 1)
+                rows = rehearsal(path, request, out, save_detections, overwrite, needs_claim)
             codes.append(0)
         except OrthoscaleError as error:
             if len(paths) == 1:

@@ -6,7 +6,7 @@ import logging
 import sys
 from collections.abc import Callable, Collection
 from contextlib import contextmanager
-from dataclasses import Field, fields
+from dataclasses import Field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from ..errors import UsageError, shown
-from ..option import GROUPS, Option, flag
+from ..option import GROUPS, Option, flag, options_in
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -95,7 +95,7 @@ def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable
     """Adds the options of a command that makes a `request`: one for each of its fields, except those in `leave`."""
 
     def decorated(function: Callable) -> Callable:
-        of = [each for each in fields(request) if each.name not in leave]
+        of = [each for each in options_in(request) if each.name not in leave]
         if any(each.name == "detector" for each in of):
             function = memory_option(function)
         for each in reversed(of):

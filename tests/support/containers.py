@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from support.painted import photographed
+
 FINE = 0.05  # [m/px] coarsest resolution at which pictures are drawn
 PAINTS = (
     (150, 45, 40), (40, 75, 135), (45, 105, 75), (125, 128, 130), (205, 205, 200), (200, 105, 45), (110, 60, 45),
@@ -60,9 +62,7 @@ def yard_picture(
             image[roof] = np.array(paint) * (fade * wave * (1 + dirt * patches(1.2)[roof]))[:, None]
         if storeys == 1:
             image = _shaded(image, boxes, length, u, v, 1, sun)
-    image = cv2.GaussianBlur(image, (0, 0), blur_px * fine)
-    image = cv2.resize(image, (count, count), interpolation=cv2.INTER_AREA)
-    return np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+    return photographed(image, fine, (count, count), blur_px, noise, rng)
 
 
 def _shaded(image, boxes, length, u, v, below, sun):

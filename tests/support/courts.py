@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from support.painted import covered, photographed
+
 FINE = 0.11  # [m/px] coarsest resolution at which pictures are drawn
 GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
 
@@ -67,19 +69,6 @@ def centre_circle(line=0.10):
     return [(-32, -line / 2, 32, line / 2), (0, 0, 9.15 - line, 9.15, 0, 0)]
 
 
-def covered(x, y, gsd, box):
-    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle (or ring) covers; exact for a
-    rectangle parallel to the pixels."""
-    if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both
-        gap = np.hypot(x - box[0], y - box[1])
-        inside = np.clip(np.minimum(box[3], gap + gsd / 2) - np.maximum(box[2], gap - gsd / 2), 0, gsd) / gsd
-        return inside * ((x - box[0]) * box[4] >= 0) * ((y - box[1]) * box[5] >= 0)
-    x0, y0, x1, y1 = box
-    part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
-            for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
-    return part[0] * part[1]
-
-
 def court_picture(
     courts, gsd, shape, *, ground=ASPHALT, surface=GREEN, run_off=3.0, white=200, wear=0.0, blur_px=0.6, noise=2.5,
     shade=0.0, trees=0, seed=0,
@@ -122,9 +111,7 @@ def court_picture(
     if shade:
         dark = (x * 0.8 + y * 0.6 > (width * 0.8 + height * 0.6) * gsd * 0.55).astype(np.float32)
         picture = picture * (1 - shade * dark[..., None])
-    picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px * fine)
-    picture = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA)
-    return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
+    return photographed(picture.astype(np.float32), fine, shape, blur_px, noise, rng)
 
 
 def court_along_rows(boxes, gsd, place, shape, *, ground=100, white=200, blur_px=0.6, noise=1.0, seed=0):

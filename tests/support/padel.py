@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from support.courts import covered
+from support.painted import covered, photographed
 
 FINE = 0.11  # [m/px] coarsest resolution at which pictures are drawn
 BLUE_TURF, GREEN_TURF, TERRACOTTA = (45, 85, 150), (55, 105, 75), (150, 85, 60)
@@ -62,9 +62,7 @@ def padel_picture(
     if shade:
         dark = (x * 0.8 + y * 0.6 > (shape[1] * 0.8 + shape[0] * 0.6) * gsd * 0.55)[..., None]
         image *= 1 - shade * dark
-    image = cv2.GaussianBlur(image, (0, 0), blur_px * fine)
-    image = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
-    return np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+    return photographed(image, fine, shape, blur_px, noise, rng)
 
 
 def padel_club(number, gsd, rng):

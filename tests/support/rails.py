@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from support.courts import covered
+from support.painted import covered, photographed
 
 BALLAST, RUST, BRIGHT, TIMBER, SLAB = (120, 114, 106), (78, 62, 52), (205, 205, 205), (150, 146, 140), (140, 138, 132)
 FINE = 0.03  # [m/px] coarsest resolution at which pictures are drawn
@@ -52,6 +52,4 @@ def railway(boxes, gsd, side=60.0, turn=0.4, ground=BALLAST, blur_px=0.6, noise=
             continue
         share = covered(u[part], v[part], step, box)[..., None]
         image[part] += share * (np.array(colour, np.float32) - image[part])
-    image = cv2.GaussianBlur(image, (0, 0), blur_px * fine)
-    image = cv2.resize(image, (pixels, pixels), interpolation=cv2.INTER_AREA)
-    return np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+    return photographed(image, fine, (pixels, pixels), blur_px, noise, rng)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from support.painted import photographed
+
 RED, LAWN, LINES = (150, 78, 66), (84, 112, 62), (224, 222, 216)
 FINE = 0.1  # [m/px] coarsest resolution at which pictures are drawn
 STRAIGHT, RADIUS = 84.39, 36.5  # [m] World Athletics' standard track, to the inner edge
@@ -31,6 +33,4 @@ def running_track(gsd, side, middle=(0.0, 0.0), turn=0.3, lane=1.22, lanes=8, li
     image = image * (1 - on) + on * (np.array(surface, np.float32) + 4 * texture[..., None])
     for k in range(lanes + 1):
         image += share(lane * k - line, lane * k) * (np.array(white, np.float32) - image)
-    image = cv2.GaussianBlur(image, (0, 0), blur_px * fine)
-    image = cv2.resize(image, (pixels, pixels), interpolation=cv2.INTER_AREA)
-    return np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+    return photographed(image, fine, (pixels, pixels), blur_px, noise, rng)
