@@ -763,6 +763,28 @@ def test_apply(tmp_path):
     assert not (tmp_path / "none").exists() and not list(tmp_path.glob(".*partial")), "all or nothing"
 
 
+def test_files_without_room_for_a_mark_are_not_scaled_twice(tmp_path):
+    """The folder that `apply` wrote tells, also if it was renamed or is named by a link."""
+    Sim3(SCALE).save(tmp_path)
+    (tmp_path / "a.xyz").write_text("1 2 3\n")
+    (tmp_path / "a.stl").write_text(STL)
+    depths = tmp_path / "work" / "stereo" / "depth_maps"  # a workspace without a sparse model, which would tell
+    depths.mkdir(parents=True)
+    (depths / "x.geometric.bin").write_bytes(b"1&1&1&" + struct.pack("<f", 2))
+    sim3, names = tmp_path / "sim3.json", ("a.xyz", "a.stl", "work")
+    apply(sim3, [tmp_path / name for name in names], tmp_path / "first")
+    (tmp_path / "link").symlink_to(tmp_path / "first")
+    for folder in ("first", "link", "renamed"):
+        if folder == "renamed":
+            (tmp_path / "first").rename(tmp_path / folder)
+        for name in (*names, "work/stereo/depth_maps/x.geometric.bin"):
+            with pytest.raises(UsageError, match="in metres already"):
+                apply(sim3, tmp_path / folder / name, tmp_path / "second")
+    (tmp_path / "renamed" / "b.xyz").write_text("1 2 3\n")  # a user's own file, not in the list of those in metres
+    apply(sim3, tmp_path / "renamed" / "b.xyz", tmp_path / "second")
+    assert (tmp_path / "second" / "b.xyz").read_text() == f"{SCALE:.10g} {2 * SCALE:.10g} {3 * SCALE:.10g}\n"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "error", "why"),
     [
