@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, las, lzf, pcd, pcd_body, ply
 
 from orthoscale.actions.apply import apply
@@ -562,6 +563,20 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_file()) == [
         "a.stl", "fused.ply", "fused.ply.vis", "meshed-poisson.ply"
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF")])
+def test_pictures_that_may_be_depth_maps_are_not_copied_unscaled(tmp_path, mode, ending):
+    """A depth map as TIFF or PNG was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
+    source = dense_workspace(tmp_path / "dense")
+    for name in (f"stereo/depth_maps/a.{ending}", f"images/thermal.{ending}"):
+        Image.new(mode, (4, 3), 7).save(source / name)
+    Image.new("RGB", (4, 3)).save(source / f"stereo/colours.{ending}")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", SCALE)
+    assert f"stereo/depth_maps/a.{ending}" in notes[1] and "thermal" not in notes[1] and "colours" not in notes[1]
+    there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob(f"*.{ending}")}
+    assert there == {f"images/thermal.{ending}", f"stereo/colours.{ending}"}
 
 
 def test_nothing_with_lengths_is_copied_unscaled_with_a_dense_workspace(tmp_path):
