@@ -148,9 +148,9 @@ def test_what_appears_meanwhile_is_not_replaced(tmp_path, monkeypatch, write, ex
     for overwrite, way in ((False, Path.mkdir), (True, Path.touch), (False, Path.touch)):
         path = tmp_path / f"{overwrite} {way.__name__}"
 
-        def somebody_else(partial, way=way, path=path):
+        def somebody_else(*partial, way=way, path=path):
             way(path)
-            really(partial)
+            really(*partial)
 
         with monkeypatch.context() as patch, pytest.raises(UsageError, match="somebody else"):
             patch.setattr(reserved, sign, somebody_else)

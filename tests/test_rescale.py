@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, las, lzf, pcd, pcd_body, ply
 
 from orthoscale.actions.apply import apply
@@ -564,6 +565,20 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF")])
+def test_pictures_that_may_be_depth_maps_are_not_copied_unscaled(tmp_path, mode, ending):
+    """A depth map as TIFF or PNG was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
+    source = dense_workspace(tmp_path / "dense")
+    for name in (f"stereo/depth_maps/a.{ending}", f"images/thermal.{ending}"):
+        Image.new(mode, (4, 3), 7).save(source / name)
+    Image.new("RGB", (4, 3)).save(source / f"stereo/colours.{ending}")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", SCALE)
+    assert f"stereo/depth_maps/a.{ending}" in notes[1] and "thermal" not in notes[1] and "colours" not in notes[1]
+    there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob(f"*.{ending}")}
+    assert there == {f"images/thermal.{ending}", f"stereo/colours.{ending}"}
+
+
 def test_nothing_with_lengths_is_copied_unscaled_with_a_dense_workspace(tmp_path):
     source = dense_workspace(tmp_path / "dense")
     for name in ("fused.pts", "c.xyzrgb", "UPPER.XYZN"):
@@ -761,6 +776,28 @@ def test_apply(tmp_path):
         CliRunner().invoke(cli, ["apply", *map(str, (tmp_path / "sim3.json", dense, cloud)), "--out",
                                  str(tmp_path / "none")], catch_exceptions=False)  # fmt: skip
     assert not (tmp_path / "none").exists() and not list(tmp_path.glob(".*partial")), "all or nothing"
+
+
+def test_files_without_room_for_a_mark_are_not_scaled_twice(tmp_path):
+    """The folder that `apply` wrote tells, also if it was renamed or is named by a link."""
+    Sim3(SCALE).save(tmp_path)
+    (tmp_path / "a.xyz").write_text("1 2 3\n")
+    (tmp_path / "a.stl").write_text(STL)
+    depths = tmp_path / "work" / "stereo" / "depth_maps"  # a workspace without a sparse model, which would tell
+    depths.mkdir(parents=True)
+    (depths / "x.geometric.bin").write_bytes(b"1&1&1&" + struct.pack("<f", 2))
+    sim3, names = tmp_path / "sim3.json", ("a.xyz", "a.stl", "work")
+    apply(sim3, [tmp_path / name for name in names], tmp_path / "first")
+    (tmp_path / "link").symlink_to(tmp_path / "first")
+    for folder in ("first", "link", "renamed"):
+        if folder == "renamed":
+            (tmp_path / "first").rename(tmp_path / folder)
+        for name in (*names, "work/stereo/depth_maps/x.geometric.bin"):
+            with pytest.raises(UsageError, match="in metres already"):
+                apply(sim3, tmp_path / folder / name, tmp_path / "second")
+    (tmp_path / "renamed" / "b.xyz").write_text("1 2 3\n")  # a user's own file, not in the list of those in metres
+    apply(sim3, tmp_path / "renamed" / "b.xyz", tmp_path / "second")
+    assert (tmp_path / "second" / "b.xyz").read_text() == f"{SCALE:.10g} {2 * SCALE:.10g} {3 * SCALE:.10g}\n"
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,13 @@ from pathlib import Path
 
 from ..errors import UsageError
 from ..formats.geometry.files import WrittenFiles
+from ..formats.geometry.mark import refuse_marked
 from ..formats.geometry.sim3 import Sim3
 from ..sources.cameras import MODELS, metric_cameras
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
 from ..system.paths import absolute, path_of, paths_of
+from ..system.signatures import written_in_metres
 
 
 def apply(
@@ -33,12 +35,14 @@ def apply(
     written = {}
     others = WrittenFiles()
     with Outputs(overwrite, (sim3, given)) as outputs:
-        folder = outputs.folder(out)
+        folder = outputs.folder(out, metres=True)
         scale = Sim3.load(sim3).scale
         metric = (
             metric_cameras(sim3.parent) if any(path.is_dir() or path.suffix.lower() in MODELS for path in given) else {}
         )
         for path, name in zip(given, names, strict=True):
+            if written_in_metres(path):
+                refuse_marked(path)
             target = folder / name
             if path.is_dir():
                 target.mkdir()

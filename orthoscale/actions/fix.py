@@ -211,7 +211,7 @@ class _PosedWriter:
         self.more_inputs = [self.posed.dense] if request.dense else []  # raises where there is none
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
-        main = outputs.folder(self.out)
+        main = outputs.folder(self.out, metres=True)
         return main, report_paths(main, True, self.request.report)
 
     def write(self, main: Path, result: Result) -> None:

@@ -53,12 +53,14 @@ class Outputs:
         """
         return self._claim(path, mine, folder=False).partial
 
-    def folder(self, path: Path) -> Path:
-        """An empty temporary folder, which will be moved to `path`."""
-        partial = self._claim(path, None, folder=True).partial
+    def folder(self, path: Path, metres: bool = False) -> Path:
+        """An empty temporary folder, which will be moved to `path`. metres : whether its files are scaled to metres:
+        then they are not scaled again."""
+        claim = self._claim(path, None, folder=True)
+        claim.metres = metres
         with writing(path):
-            partial.mkdir()
-        return partial
+            claim.partial.mkdir()
+        return claim.partial
 
     def retire(self, path: Path, mine: Callable[[Path], bool] | None = None) -> None:
         """Remove at the end an older output of orthoscale at `path`, which would be taken for a part of the new one;

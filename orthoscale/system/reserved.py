@@ -34,12 +34,13 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # some ne
 class Reserved:
     """One output: its place, locked against other runs, and a scratch folder beside it.
 
-    before : identity of what will be replaced, None if nothing is there.
+    before : identity of what will be replaced, None if nothing is there. metres : whether a folder's files are scaled
+    to metres, for its mark.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.retired = self.failed = False
+        self.retired = self.failed = self.metres = False
         self.scratch = path.absolute().parent / f".{signature(path).replace(' ', '-')}{SCRATCH}"
         with writing(path):
             self._lock = _locked(self.scratch, path)
@@ -67,7 +68,7 @@ class Reserved:
     def sign(self) -> None:
         """Sign what was written."""
         if self.partial.is_dir():
-            sign_folder(self.partial)
+            sign_folder(self.partial, self.metres)
         else:
             sign_file(self.partial)
 

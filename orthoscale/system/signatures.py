@@ -18,6 +18,7 @@ from contextlib import closing
 from pathlib import Path
 
 from ..version import __version__
+from .paths import homes
 
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
 LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
@@ -91,9 +92,25 @@ def _files_in(folder: Path) -> Iterator[str]:
         folders[:] = [f for f in folders if not (here / f / FOLDER_MARK).is_file() or why_not_ours(here / f)]
 
 
-def sign_folder(folder: Path) -> None:
-    """Write the mark of a folder: its signature and the list of its files."""
-    text = {"written_by": signature(folder), "version": __version__, "files": []}
+def written_in_metres(path: Path) -> bool:
+    """Whether the file or folder at `path` is, lies in or contains what orthoscale wrote in metres, as the mark of a
+    folder says, which may have been renamed since."""
+    for place in homes(path):
+        for folder in (place, *place.parents):
+            try:
+                mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
+                files = [folder / name for name in mark["files"]] if mark["metres"] is True else []
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+            if any(file.is_relative_to(place) and file.exists() for file in files):
+                return True
+    return False
+
+
+def sign_folder(folder: Path, metres: bool = False) -> None:
+    """Write the mark of a folder: its signature and the list of its files. metres : whether these have been scaled to
+    metres."""
+    text = {"written_by": signature(folder), "version": __version__, "metres": metres, "files": []}
     (folder / FOLDER_MARK).unlink(missing_ok=True)
     text["files"] = sorted(_files_in(folder))
     (folder / FOLDER_MARK).write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")

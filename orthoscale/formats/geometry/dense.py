@@ -15,6 +15,7 @@ from ..reading import HUGE, files_below, read_bytes
 from .lengthless import has_lengths
 
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
+FRAMES = "images"  # the folder of undistorted frames
 MOST_LEFT_NAMED = 20  # files left out that a note names; OpenMVS has a depth map for each image
 COMPUTE_ANEW = "The file is damaged or was cut off: copy it or compute it again."
 
@@ -95,7 +96,7 @@ def scale_dense(
         if "depth_maps" in place.parts and path.name.endswith(DEPTH_KINDS):
             scale_depth_map(path, out, scale)
             scaled += 1
-        elif not has_lengths(path):
+        elif not has_lengths(path, frame=place.parts[0] == FRAMES):
             shutil.copyfile(path, out)
         elif reason := any_file(path, out):
             left.append(f"{place} ({reason})")

@@ -16,8 +16,26 @@ LENGTHLESS_MAPS = {"normal_maps", "consistency_graphs"}
 """COLMAP's folders of ``.bin`` files without lengths."""
 
 
-def has_lengths(path: Path) -> bool:
-    """Whether the file at `path` may contain lengths, by its name; true for unknown kinds."""
-    if path.suffix.lower() == ".bin":
+DEPTH_PICTURES = (".png", ".tif", ".tiff")
+DEPTH_MODES = ("F", "I")
+"""How Pillow's names of the modes of one band with more than 8 bits begin."""
+
+
+def has_lengths(path: Path, frame: bool = False) -> bool:
+    """Whether the file at `path` may contain lengths; true for unknown kinds. frame : whether it lies among the frames,
+    whose pictures have none; others may be depth maps or elevations if they have one band with more than 8 bits."""
+    ending = path.suffix.lower()
+    if ending == ".bin":
         return path.parent.name not in LENGTHLESS_MAPS
-    return path.suffix.lower() not in LENGTHLESS
+    return ending not in LENGTHLESS or (not frame and ending in DEPTH_PICTURES and _may_be_depth(path))
+
+
+def _may_be_depth(path: Path) -> bool:
+    """Whether a picture's header says that it has one band with more than 8 bits; false for one that is unreadable."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            return picture.mode.startswith(DEPTH_MODES)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        return False
