@@ -164,7 +164,7 @@ MUTANTS = (
         "np.exp(-0.5 * (off - off.min())))",
         f"{EVIDENCE}test_of_two_scales_about_as_near_the_sharper_one_is_meant",
     ),
-    Mutant("core/pooling/agreement.py", "own += OF_MEDIAN**2 * spread**2 / len(each)", "own += 0", ALIKE),
+    Mutant("core/pooling/agreement.py", "own += median_sd(each) ** 2", "own += 0", ALIKE),
     Mutant(
         "core/pooling/agreement.py",
         'b.parts.get("fleet", 0.0))) if alike else 0.0',
@@ -371,7 +371,7 @@ MUTANTS = (
     ),
     Mutant(
         "anchors/rails.py",
-        "return OF_MEDIAN * self.scatter",
+        "return median_sd(self.apart)",
         "return self.scatter",
         "tests/test_anchors_followed.py::test_the_middle_of_the_blocks_is_known_as_well_as_is_said",
     ),

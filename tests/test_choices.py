@@ -87,7 +87,7 @@ def test_what_two_measurements_of_the_same_vehicles_may_differ_by():
     each = 0.05 * np.array([-2.0, -1.0, -1.0, 0.0, 1.0, 1.0, 2.0])  # half of them lie within 0.05 of the middle
     found = compare({"oblique": first, "planar": second}, np.column_stack([each, each]))
     own = 0.01**2 + 0.02**2 + 2 * 0.015**2
-    assert found.sd == pytest.approx(np.sqrt(own + 1.57 * (1.4826 * 0.05) ** 2 / 7), rel=1e-3)
+    assert found.sd == pytest.approx(np.sqrt(own + 1.598**2 * 0.21045 * (1.4826 * 0.05) ** 2), rel=1e-3)
     assert found.apart_sd == pytest.approx(np.sqrt(own)) and found.difference == 0
     assert found.mixes_sd == pytest.approx(0.03 * np.sqrt(2)), "where they agree, others may be of another mix"
     off = compare({"oblique": first, "planar": second}, np.column_stack([each, each]) + 0.5)

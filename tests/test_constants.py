@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from scipy.stats import norm
 
 import orthoscale
-from orthoscale.core.pooling.posterior import OF_MEDIAN, ROBUST_SD, Z90, of_median
+from orthoscale.core.pooling.posterior import ROBUST_SD, Z90, median_sd, of_median
 from orthoscale.core.round_numbers import round_above, round_below, scale_bar
 from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
@@ -115,9 +115,17 @@ def test_the_variance_of_a_median_is_that_of_the_order_statistics():
     assert of_median(counts) == pytest.approx(exact, rel=4e-4)
     assert float(of_median(1)) == 1.0, "one view leaves all of its noise"
     assert (np.diff(of_median(np.arange(1, 200))) < 0).all(), "no jump"
-    assert float(of_median(10**6)) == pytest.approx(OF_MEDIAN**2 / 10**6, rel=1e-4)
+    assert float(of_median(10**6)) == pytest.approx(np.pi / 2 / 10**6, rel=1e-4), "Laplace"
     drawn = np.random.default_rng(0).standard_normal((200_000, 4))
     assert np.median(drawn, axis=1).var() == pytest.approx(float(of_median(4)), rel=0.01)
+
+
+@pytest.mark.parametrize("count", [*range(2, 13), 20, 40])
+def test_the_interval_of_a_median_holds_nine_times_in_ten_however_few_the_values(count):
+    drawn = np.random.default_rng(count).standard_normal((8000, count))
+    held = [abs(np.median(values)) < Z90 * median_sd(values) for values in drawn]
+    assert np.mean(held) == pytest.approx(0.9, abs=0.015)
+    assert median_sd(3 * drawn[0] + 7) == pytest.approx(3 * median_sd(drawn[0])), "in the values' unit"
 
 
 def test_where_the_ground_sheet_settles_follows_from_how_it_listens():

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
+from ..core.pooling.posterior import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
@@ -123,7 +123,7 @@ def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, .
         place=lines.mean((0, 1)),
         lines=lines,
         pixels=pitch(blocks),
-        relative_sd=float(np.hypot(OF_MEDIAN * _scatter(period) / np.sqrt(len(period)), LOCAL_STRETCH)),
+        relative_sd=float(np.hypot(median_sd(period) / pitch(blocks), LOCAL_STRETCH)),
         residual=np.concatenate([block.row.residual for block in blocks]),
         standards=standards,
         false=false,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
-from ..core.pooling.posterior import OF_MEDIAN, ROBUST_SD
+from ..core.pooling.posterior import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -119,7 +119,7 @@ class Track:
     @property
     def distance_sd(self) -> float:
         """Relative one sigma of `distance`, as the median of independent blocks."""
-        return OF_MEDIAN * self.scatter / float(np.sqrt(len(self.apart)))
+        return median_sd(self.apart) / self.distance
 
     def lines(self) -> np.ndarray:
         """(2 (B - 1), 2, 2) lines of both rails, from block to block [px]."""

@@ -11,7 +11,7 @@ from ..evidence import Support
 from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
-from .posterior import OF_MEDIAN, ROBUST_SD, Z90
+from .posterior import Z90, median_sd
 
 CONTRADICTION = 2.6  # sigmas above which two measurements of one scale contradict each other; by chance in 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty that two measurements of one model do not share
@@ -106,10 +106,9 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None, one_netwo
     if ratio is None or len(ratio) < MIN_COMMON:
         return Agreement(scales, *apart, *apart)
     each = of_scales(scales, ratio)
-    spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     # Other evidence on the scale does not make the vehicles' sizes more certain, so their own parts count in full.
     own = sum(_own_variance(scale.by_vehicles or scale.parts, one_network) for scale in (a, b))
-    own += OF_MEDIAN**2 * spread**2 / len(each)
+    own += median_sd(each) ** 2
     difference, sd = float(np.median(each)), float(np.sqrt(own))
     alike = abs(difference) < CONTRADICTION * sd
     mixes = float(np.hypot(a.parts.get("fleet", 0.0), b.parts.get("fleet", 0.0))) if alike else 0.0
