@@ -62,6 +62,8 @@ OTHER_NAMES = {
     "okinawa": "JP_Okinawa",
     "bangkok": "TH_Bangkok",
 }
+# Countries and territories whose English name takes an article.
+WITH_ARTICLE = "AE AX BQ BS CC CF CK DO FK FO GB GM IM IO KM KY MH MP MV NL PH PN PS SB SC TC TF UM US VG VI"
 US_STATES = """AL Alabama AK Alaska AZ Arizona AR Arkansas CA California CO Colorado CT Connecticut DE Delaware FL
 Florida GA Georgia HI Hawaii ID Idaho IL Illinois IN Indiana IA Iowa KS Kansas KY Kentucky LA
 Louisiana ME Maine MD Maryland MA Massachusetts MI Michigan MN Minnesota MS Mississippi MO Missouri
@@ -151,6 +153,12 @@ def namesake(code: str) -> str | None:
 def country_name(code: str) -> str:
     """The English name of the country with a two-letter ISO 3166 code, or the code itself if there is none."""
     return _in_english().get(code, code)
+
+
+def with_article(code: str) -> str:
+    """The name of the country as it stands in an English sentence: "the Philippines"."""
+    name = country_name(code)
+    return f"the {name}" if code in WITH_ARTICLE.split() else name
 
 
 def country_at(longitude: float, latitude: float) -> str | None:

@@ -293,7 +293,7 @@ class EstimateRequest(VehicleRequest):
         True,
         bool,
         "Evidence",
-        "Leave the GPS positions in the tags of a model's frames out of the scale.",
+        "Ignore the GPS positions in the tags of a model's frames.",
         flag="--no-gps",
     )
     against: str | Path | None = option(

@@ -311,6 +311,8 @@ def test_frames_are_found(plain, tmp_path, place):
 def test_missing_frames(plain, model_bin, tmp_path):
     with pytest.raises(InputError, match=r"first is 00.png; looked in .*images"):
         ColmapSource.open(model_bin)
+    (note,) = ColmapSource.open(model_bin, need_images=False).notes
+    assert "no anchors are searched for" in note.text, "what follows from it"
     with pytest.raises(InputError, match=r"--images .*elsewhere does not exist"):
         ColmapSource.open(model_bin, images=tmp_path / "elsewhere")
     (tmp_path / "empty").mkdir()

@@ -9,6 +9,7 @@ from PIL import Image
 from rasterio.transform import from_origin
 from support.photos import write_photo
 
+from orthoscale.countries import with_article
 from orthoscale.sources.country import country_of, fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.location import Location, location_in, location_of
@@ -37,7 +38,15 @@ def test_georeferencing_names_the_country(tmp_path, crs, west, north, pixel, cou
 def test_georeferencing_that_is_not_to_be_believed_names_none(tmp_path, crs, west, north):
     """Not OpenDroneMap's placeholder in Spain's zone, nor local metres."""
     assert location_of(orthophoto(tmp_path / "a.tif", crs, west, north, 0.1)) is None
-    assert fleet_at(None)[0].code == "WORLD"
+    fleet, notes = fleet_at(None)
+    assert fleet.code == "WORLD" and "name it with --fleet" in notes[0], (
+        "nobody learns otherwise why it is so uncertain"
+    )
+
+
+@pytest.mark.parametrize(("code", "name"), [("US", "the United States"), ("PH", "the Philippines"), ("NP", "Nepal")])
+def test_a_country_is_named_as_in_a_sentence(code, name):
+    assert with_article(code) == name
 
 
 def test_the_place_of_a_picture_is_its_gps_position(tmp_path):

@@ -97,7 +97,7 @@ def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
     doubt = ColmapSource.open(tmp_path).focal
     assert doubt.ratio == pytest.approx(28 / 43.27 * 1250 / 900, rel=0.03)
     assert 0.005 < doubt.sd < 0.04
-    assert "footprints on the ground are measured" in doubt.said and "809 px" in doubt.said
+    assert "measured as footprints on the ground" in doubt.said and "809 px" in doubt.said
 
 
 def test_footprints_stay_and_heights_follow():

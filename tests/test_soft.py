@@ -78,6 +78,12 @@ def test_unsure_edges_of_a_sharp_picture_are_moved_out():
     assert not any("soft" in note for note in got.notes)
 
 
+def test_a_picture_soft_by_less_than_is_printed_is_not_called_soft():
+    """`1.00 times as uncertain as sharp ones` tells nothing."""
+    _, got = measured(1.002)
+    assert not any("soft" in note for note in got.notes)
+
+
 def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure():
     boxes, got = measured(1.6)
     soft = 1.6**GROWS

@@ -147,7 +147,10 @@ def json_option(what: str = "the report") -> Callable[[Callable], Callable]:
 
 
 dry_run_option = option(
-    "--dry-run", is_flag=True, group="Advanced", help="Check all that was asked and say what would be done; do nothing."
+    "--dry-run",
+    is_flag=True,
+    group="Advanced",
+    help="Check inputs and options and print what would be done; do nothing.",
 )
 
 debug_option = option(  # `main` looks for it itself

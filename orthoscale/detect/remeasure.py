@@ -147,10 +147,10 @@ def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     if seen.too_large.any():
         length, width = (signed(each) for each in np.expm1(seen.too_large))
-        yield f"dark vehicles measured {length} in length, {width} in width because of their shadows: corrected"
+        yield f"shadows made dark vehicles appear larger, by {length} in length and {width} in width: corrected"
     if seen.enlarged > 1:
         yield f"the picture is enlarged {float(seen.enlarged):g} times beyond its detail: measured at reduced size"
-    if seen.soft > 1:
+    if round(seen.soft, 2) > 1:
         yield f"the picture is soft: its edges are {seen.soft:.2f} times as uncertain as sharp ones"
 
 

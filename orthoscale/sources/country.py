@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from ..core.fleet import Fleet
 from ..core.source import Source
-from ..countries import country_at, country_name
+from ..countries import country_at, with_article
 from ..fleets import load_fleet, local_fleet
 
 if TYPE_CHECKING:
     from ..core.calibration import Calibration
     from .location import Location
 
+NOWHERE = "fleet world: the country is not known; name it with --fleet, which makes the scale more certain"
 UNIONS = {"EU"}  # two-letter codes of fleets that are not of one country
 
 
@@ -25,11 +26,11 @@ def named_fleet(name: str | Path | None, known: Calibration | None) -> Fleet | N
 def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
     """The fleet of the country at `location`, else the world's; and notes on this choice for the user."""
     if location is None:
-        return load_fleet("world"), ()
+        return load_fleet("world"), (NOWHERE,)
     code = country_at(location.longitude, location.latitude)
     if code is None:
         return load_fleet("world"), (f"{location.told_by} is not in any country: fleet world",)
-    place = f"{location.told_by} is in {country_name(code)}"
+    place = f"{location.told_by} is in {with_article(code)}"
     return load_fleet(code), (f"fleet {code}: {place}; choose another with --fleet",)
 
 

@@ -53,9 +53,9 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     if sd < OPEN:
         return FocalDoubt(said=_far(told, "; its observations determine it, and it is taken as it is"))
     what = (
-        f"the frames leave the focal length open by {100 * sd:.0f} % (1 sigma), as those of flat ground from straight "
+        f"the frames determine the focal length only to {100 * sd:.0f} % (1 sigma), as is usual for flat ground seen "
     )
-    what += "above do: footprints on the ground are measured, heights are not to be trusted"
+    what += "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     if told is None:
         return FocalDoubt(1.0, sd, what)
     log_ratio = np.log([lens.focal_px / has for _, lens, has in told])
@@ -64,8 +64,8 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     ratio = float(np.exp(weight * np.median(log_ratio)))
     name, lens, has = told[0]
     what += (
-        f"; cameras are assumed {100 * abs(ratio - 1):.0f} % {'higher' if ratio > 1 else 'lower'}, "
-        f"by {lens.focal_px:.0f} px ({lens.source}) in {name} against {has:.0f} px"
+        f"; cameras are assumed {100 * abs(ratio - 1):.0f} % {'higher' if ratio > 1 else 'lower'}, since the focal "
+        f"length of {name} is {lens.focal_px:.0f} px ({lens.source}), and {has:.0f} px in the model"
     )
     return FocalDoubt(ratio, sd * by_lens / float(np.hypot(sd, by_lens)), what)
 

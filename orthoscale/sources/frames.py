@@ -33,7 +33,8 @@ def find_frames(
     except InputError as error:
         if need_images or images is not None:
             raise
-        notes.append(Remark(INFO, error.message))
+        so = "without frames no anchors are searched for, and the report has no close-ups of vehicles"
+        notes.append(Remark(INFO, f"{error.message}; {so}"))
         return []
     if missing:
         text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"

@@ -119,7 +119,7 @@ def _places(measured: Measurement) -> Judgement | None:
     elif drift is None and measured.modes:
         return None  # the planar measurement compares no places
     else:
-        return Judgement(INFO, "Places not compared", "too few vehicles for it")
+        return Judgement(INFO, "Places not compared", "too few vehicles")
     if drift.drifts:
         refused = any(r.severity == REFUSAL and r.text in drift.warnings for r in measured.remarks)
         return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", figures + ", significant")
