@@ -25,6 +25,7 @@ from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import fleet_codes, load_fleet
+from orthoscale.registrations import VERSIONS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # for simulated boxes of known truth, as in the tests
 
@@ -104,17 +105,19 @@ def run(
     most: tuple[str, float] | None = None,
     kinds: bool = True,
     hidden: float = 0.0,
+    one: bool = False,
 ) -> Tally:
     """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call.
 
     vans : None for as many as places usually have. most, hidden : as in `car_park`. kinds : whether kinds are seen, if
-    the ruler has a table of them.
+    the ruler has a table of them. one : the vehicles of each car park are of one model.
     """
     rows, refused = [], 0
     for k in range(scenes):
         gsd = gsds[k % len(gsds)]
         rng = np.random.default_rng([0, k])
-        votes = car_park(rng, fleet, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most, hidden, exact=False)
+        here = of_one_model(np.random.default_rng([1, k]), fleet) if one else fleet
+        votes = car_park(rng, here, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most, hidden, exact=False)
         if not kinds:
             votes = replace(votes, kinds=None)
         try:
@@ -141,6 +144,14 @@ def run(
         )
     error, sd, hit, paper_error, paper_hit, fair_error = np.array(rows, float).reshape(-1, 6).T
     return Tally(error, sd, hit, paper_error, paper_hit, fair_error, refused)
+
+
+def of_one_model(rng: np.random.Generator, fleet: Fleet) -> Fleet:
+    """The vehicles of a place where all are of one model, drawn from `fleet` [m]. Its versions differ as in
+    `orthoscale.registrations`."""
+    (size,), (k,) = fleet.sample_of_classes(rng, 1)
+    model = replace(fleet.classes[k], weight=1.0, mean=size, sd=VERSIONS)
+    return replace(fleet, classes=(model,), three_wheelers=None)
 
 
 def by_fleet(ruler: Ruler, scenes: int) -> str:
@@ -195,6 +206,16 @@ def by_oddness(scenes: int) -> str:
         ]  # fmt: skip
         rows.append([code, *cells])
     return table(["fleet", *ODDEST], rows)
+
+
+def by_model(scenes: int) -> str:
+    """Each fleet with measured boxes at places of one model, without and with vehicle kinds."""
+    rows = []
+    for code in FLEETS:
+        fleet = load_fleet(code)
+        tallies = [run(fleet, scenes, ruler=MEASURED, gsds=(0.12,), kinds=seen, one=True) for seen in (False, True)]
+        rows.append([code, *(t.cell() for t in tallies)])
+    return table(["fleet", "without kinds", "with kinds"], rows)
 
 
 def by_hidden(scenes: int) -> str:
@@ -286,6 +307,7 @@ TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
     "vans": ("With margins, vans of one kind", by_vans),
     "kinds": ("With margins, vans and 10 % false boxes, kinds seen or not", by_kinds),
     "odd": ("Measured boxes, 12 cm/px: odd places", by_oddness),
+    "one": ("Measured boxes, 12 cm/px: places of one model", by_model),
     "hidden": ("Measured boxes and vans, of which some vehicles are partly hidden", by_hidden),
     "country": ("The country not known [%]: each of the table's fleets in turn", without_country),
     "count": ("Error against the number of boxes [%], DE", lambda scenes: by_count("DE", NO_VANS, 0.0, scenes)),

@@ -221,3 +221,16 @@ def levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
     ends = np.cumsum([many, *[2] * (BESIDE_FLEET + 1)])
     *levels, called = np.split(counts, ends, axis=1)
     return *levels, *(np.split(called, many + BESIDE_FLEET, axis=1) if called.size else [])
+
+
+def believed(covariance: np.ndarray) -> np.ndarray:
+    """(2, 2) `covariance` of two estimates, its off-diagonal no more than either variance: else one of them would have
+    a negative weight in the best combination, which trusts the correlation more than it deserves."""
+    common = min(covariance[0, 1], *np.diag(covariance))
+    return np.array([[covariance[0, 0], common], [common, covariance[1, 1]]])
+
+
+def combine(covariance: np.ndarray) -> np.ndarray:
+    """(2,) weights of the best linear combination of two estimates, whose sum is 1."""
+    w = np.linalg.solve(covariance, np.ones(2))
+    return w / w.sum()

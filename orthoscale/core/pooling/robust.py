@@ -31,8 +31,9 @@ from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
 from .observed import Confusion, Seen, Shrinkage
+from .one_model import OneModel, of_one_model
 from .posterior import Posterior, of_median
-from .problem import Mix
+from .problem import Mix, believed, combine
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
 SMALLEST_SHARE = 0.3  # least share of a box that must be left once the margin is taken off
@@ -40,6 +41,7 @@ SMALLEST_SHARE = 0.3  # least share of a box that must be left once the margin i
 # shape. On nine vehicles of `brighton`, with 29 boxes read by eye, lengths err by 1.8 % (one sigma) from vehicle to
 # vehicle and by 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
 OF_THE_VEHICLE = 0.5
+LIKELY_ONE = 0.5  # probability above which a place of one model is reported
 LIKELY = 0.01  # probability below which a fleet is not reported
 MOVED_BY = 7  # number of the likeliest fleets that are fitted to all votes
 LEAST_LEARNT = 0.05  # least share of the prior variance of lengths against widths that vehicles remove
@@ -64,6 +66,7 @@ class _Vehicles:
     larger_share: float
     inlier: np.ndarray  # (N,) bool, of the measurable votes
     log_evidence: float
+    of_one_model: float = 0.0  # probability that all are
 
 
 def pool(
@@ -101,6 +104,7 @@ def pool(
     unknown = bool(fleet.candidates) and not country
     telling = [vote for vote in anchors if tells_country(vote)] if unknown else []
     best, fleets = _of_candidates(seen, fleet, known, ruler, telling)
+    best = _perhaps_of_one_model(best, of_one_model(seen, fleet, known, ruler.shrinkage, ruler.confusion))
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} fit vehicles at one scale; "
@@ -160,6 +164,12 @@ def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[A
     """Remarks on the vehicles' shapes, and on anchors that do not count. telling : those that tell the country."""
     if best.tension > CHECK_LIMIT:
         yield remark_on_shape(float(best.estimates[0] - best.estimates[1]), best.tension)
+    if best.of_one_model > LIKELY_ONE:
+        yield Remark(
+            INFO,
+            "the vehicles are as alike as if they were of one model, as at a taxi rank or a dealer's: which model is "
+            "not known, so the interval is wide",
+        )
     if telling:
         kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
         yield Remark(INFO, f"{kinds} tell the country, not the scale: each country has sizes of its own")
@@ -225,7 +235,8 @@ def _of_candidates(
     probability = _given_anchors(probability, {k: candidates[k].code for k in scales}, scales, telling)
     best = full[max(full, key=probability.__getitem__)]  # all votes may be impossible for the likeliest one
     fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
-    return _mixture(best, scales, probability), fleets
+    posterior = Posterior.mixed(list(scales.values()), np.array([probability[k] for k in scales]))
+    return _by_fleets(best, posterior), fleets
 
 
 def _by_all_votes(each: Mapping[int, _Vehicles], full: Mapping[int, _Vehicles]) -> dict[int, Posterior]:
@@ -239,9 +250,18 @@ def _by_all_votes(each: Mapping[int, _Vehicles], full: Mapping[int, _Vehicles]) 
     return {k: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
 
 
-def _mixture(best: _Vehicles, scales: Mapping[int, Posterior], probability: Mapping[int, float]) -> _Vehicles:
-    """`best`, with the posterior of all candidates, given the scale under each and its probability."""
-    posterior = Posterior.mixed(list(scales.values()), np.array([probability[k] for k in scales]))
+def _perhaps_of_one_model(best: _Vehicles, one: OneModel | None) -> _Vehicles:
+    """`best`, with the posterior that all vehicles may be of `one` model as well."""
+    if one is None:
+        return best
+    share = one.probability(best.log_evidence)
+    posterior = Posterior.mixed([best.posterior, one.posterior], np.array([1 - share, share]))
+    return replace(_by_fleets(best, posterior), of_one_model=share)
+
+
+def _by_fleets(best: _Vehicles, posterior: Posterior) -> _Vehicles:
+    """`best` with the `posterior` over several fleets or mixes: by how much it is wider counts as uncertainty of the
+    fleet."""
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider})
@@ -260,10 +280,10 @@ def _of_fleets(
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
         shared = {"fleet": shrinkage.covariance(fleet.class_mean_covariance(classes)), **known}
-        systematic = _believed(sum(shared.values(), np.zeros((2, 2))))
+        systematic = believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
         # Weights by the common errors alone: the fit ties the two scales by these, and so contains the votes' scatter.
-        mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))
+        mixes.append(Mix(classes, systematic, combine(systematic), fleet.place_vehicles))
     found = fit(seen, mixes, shrinkage, confusion)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
@@ -337,16 +357,3 @@ def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
     shared. share_px : (2,) one pixel as a share of length and width."""
     own = (np.asarray(ruler.margin_sd) * share_px) ** 2 + np.asarray(ruler.bias_sd) ** 2
     return np.diag(own) + ruler.common_sd**2
-
-
-def _believed(covariance: np.ndarray) -> np.ndarray:
-    """(2, 2) `covariance` of two estimates, its off-diagonal no more than either variance: else one of them would have
-    a negative weight in the best combination, which trusts the correlation more than it deserves."""
-    common = min(covariance[0, 1], *np.diag(covariance))
-    return np.array([[covariance[0, 0], common], [common, covariance[1, 1]]])
-
-
-def _combine(covariance: np.ndarray) -> np.ndarray:
-    """(2,) weights of the best linear combination of two estimates, whose sum is 1."""
-    w = np.linalg.solve(covariance, np.ones(2))
-    return w / w.sum()

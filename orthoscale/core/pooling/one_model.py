@@ -1,0 +1,116 @@
+"""A place whose vehicles are all of one model: a rank of taxis, a dealer's yard, the pickups of an authority.
+
+Its sizes scatter as little as those of the narrowest class of a fleet, whichever model it is, so a mix of classes would
+be sure of that class. One model tells only that it is one of the fleet's: the scale is then no better known than the
+size of one vehicle drawn from the fleet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit, logit
+
+from ..boxes import KINDS
+from ..fleet import Fleet
+from ..market_segments import Class, PlaceKind
+from .beside_fleet import LARGER, left_out
+from .mixture import fit
+from .observed import Confusion, Seen, Shrinkage
+from .posterior import Posterior
+from .problem import Mix, believed, combine
+
+# Share of places that hold one model, or hardly any other; judged: none of 16 real places and 52 of chips does.
+PLACES_OF_ONE = 0.02
+# Relative spread of length, width and height between the vehicles of one model [1]: between its versions it is 0.9 % of
+# length and 0.8 % of width (`registrations.VERSIONS`), and as much again between its generations; judged.
+SPREAD = np.array([0.02, 0.015, 0.02])
+CORRELATION = 0.6  # between a model's length and width; as within a segment of the market
+# One sigma of each of the two scales beforehand, with which the sizes of the model are found: much more than fleets
+# allow, so that it does not move them. Each class is compared with them afterwards.
+ANY_SIZE = 0.5
+ANY_PLACE = (PlaceKind(20.0, 1.0),)
+APART = np.array([1.0, -1.0])  # lengths against widths
+
+
+@dataclass(frozen=True)
+class OneModel:
+    """The scale if all vehicles are of one model. log_evidence : comparable with that of `mixture.Fits`."""
+
+    posterior: Posterior
+    log_evidence: float
+
+    def probability(self, log_evidence: float) -> float:
+        """That all vehicles are of one model, where a mix of classes has this `log_evidence`."""
+        return float(expit(logit(PLACES_OF_ONE) + self.log_evidence - log_evidence))
+
+
+def of_one_model(
+    seen: Seen,
+    fleet: Fleet,
+    known: Mapping[str, np.ndarray],
+    shrinkage: Shrinkage,
+    confusion: Confusion | None,
+) -> OneModel | None:
+    """The scale by the vehicles `seen` if they are of one model of `fleet`; None if they cannot be.
+
+    Any class of the fleet, or of its candidates, may have the model, with the class's share as probability. known : by
+    part of the uncertainty, the (2, 2) covariances of the errors common to all vehicles.
+    """
+    kinds = np.eye(len(KINDS)) if seen.called.size else np.ones((1, len(KINDS))) / len(KINDS)
+    every = [_sizes(seen, fleet, kind, shrinkage, confusion) for kind in kinds]
+    weight, mean, variance = [], [], []
+    for one, probability in zip(fleet.candidates or (fleet,), fleet.prior or (1.0,), strict=True):
+        country, larger = one.class_mean_covariance(one.classes), left_out(one.classes)
+        own = (1 - larger) / sum(c.weight for c in one.classes)
+        for part in (*one.classes, replace(LARGER, weight=larger / own)):
+            of_kind = part.kinds if seen.called.size else [1.0]
+            for share, sizes in zip(of_kind, every, strict=True):
+                if share == 0 or sizes is None:
+                    continue
+                covariance = shrinkage.covariance(part.log_covariance + country) + sizes.covariance
+                covariance = believed(sum(known.values(), covariance))
+                gap = shrinkage.log_mean(part) - sizes.log_size
+                weights = combine(covariance)
+                weight.append(
+                    np.log(probability * own * part.weight * share)
+                    + sizes.log_evidence
+                    + _log_normal(APART @ gap, APART @ covariance @ APART)
+                )
+                mean.append(weights @ gap)
+                variance.append(weights @ covariance @ weights)
+    if not weight:
+        return None
+    log_evidence = float(np.logaddexp.reduce(weight))
+    return OneModel(Posterior(np.exp(np.array(weight) - log_evidence), np.array(mean), np.sqrt(variance)), log_evidence)
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Length and width of the one model, whatever it is: log_size (2,) [log of the votes' unit], its covariance (2, 2).
+    log_evidence : that the vehicles are of one model and kind, without what is expected of length against width."""
+
+    log_size: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+
+
+def _sizes(
+    seen: Seen, fleet: Fleet, kind: np.ndarray, shrinkage: Shrinkage, confusion: Confusion | None
+) -> _Sizes | None:
+    """The sizes of the one model if it is of this `kind` (4,), as in `Class.kinds`."""
+    model = Class("one model", 1.0, fleet.mean, SPREAD * fleet.mean, CORRELATION, np.zeros(3), kind)
+    systematic = ANY_SIZE**2 * np.eye(2)
+    (fits,) = fit(seen, [Mix((model,), systematic, combine(systematic), ANY_PLACE)], shrinkage, confusion)
+    if fits is None:
+        return None
+    log_scale = fits.weight @ fits.log_scale
+    beforehand = _log_normal(APART @ log_scale, APART @ systematic @ APART)
+    return _Sizes(shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand)
+
+
+def _log_normal(value: float, variance: float) -> float:
+    """Log density of a normal distribution about zero."""
+    return float(-0.5 * (np.log(2 * np.pi * variance) + value**2 / variance))
