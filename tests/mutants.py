@@ -281,8 +281,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/pooling/robust.py",
-        "mixes.append(Mix(classes, systematic, _combine(systematic), fleet.place_vehicles))",
-        "mixes.append(Mix(classes, systematic, _combine(systematic + fleet.log_covariance / 8), fleet.place_vehicles))",
+        "mixes.append(Mix(classes, systematic, combine(systematic), fleet.place_vehicles))",
+        "mixes.append(Mix(classes, systematic, combine(systematic + fleet.log_covariance / 8), fleet.place_vehicles))",
         f"{POOLING}test_lengths_and_widths_count_as_generalised_least_squares_has_it",
     ),
     Mutant(
@@ -292,10 +292,22 @@ MUTANTS = (
         f"{POOLING}test_lengths_and_widths_count_as_generalised_least_squares_has_it",
     ),
     Mutant(
-        "core/pooling/robust.py",
+        "core/pooling/problem.py",
         "common = min(covariance[0, 1], *np.diag(covariance))",
         "common = covariance[0, 1]",
         f"{POOLING}test_wider_boxes_never_make_the_scale_larger",
+    ),
+    Mutant(
+        "core/pooling/one_model.py",
+        "WITHIN_MODEL * fleet.mean",
+        "5 * WITHIN_MODEL * fleet.mean",
+        "tests/test_one_model.py::test_a_lot_of_full_size_pickups_is_not_read_as_cars_at_another_scale",
+    ),
+    Mutant(
+        "core/pooling/one_model.py",
+        "fits.log_evidence - beforehand",
+        "fits.log_evidence",
+        "tests/test_one_model.py::test_the_evidence_is_that_of_a_mix_whose_only_class_is_the_model",
     ),
     Mutant(
         "core/pooling/posterior.py",

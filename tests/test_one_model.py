@@ -14,7 +14,7 @@ from orthoscale.core.market_segments import Class
 from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import fit
 from orthoscale.core.pooling.observed import FAITHFUL, Seen
-from orthoscale.core.pooling.one_model import PLACES_OF_ONE, SPREAD, of_one_model
+from orthoscale.core.pooling.one_model import PLACES_OF_ONE, WITHIN_MODEL, of_one_model
 from orthoscale.core.pooling.problem import Mix, believed, combine
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
@@ -75,10 +75,10 @@ def test_at_usual_places_hardly_anything_changes(n, monkeypatch):
 def test_the_evidence_is_that_of_a_mix_whose_only_class_is_the_model():
     """A fleet of one model known exactly: both ways describe the same, so what was judged beforehand is left."""
     mean = np.array([4.4, 1.8, 1.5])
-    model = Class("model", 1.0, mean, SPREAD * mean, 0.6, np.zeros(3))
-    fleet = Fleet("X", "one model", mean, SPREAD * mean, np.full(3, 1e-4), (model,), 2026, "test")
+    model = Class("model", 1.0, mean, WITHIN_MODEL * mean, 0.6, np.zeros(3))
+    fleet = Fleet("X", "one model", mean, WITHIN_MODEL * mean, np.full(3, 1e-4), (model,), 2026, "test")
     rng = np.random.default_rng(54)
-    size = mean[:2] * np.exp(rng.normal(0, SPREAD[:2], (40, 2))) / GSD
+    size = mean[:2] * np.exp(rng.normal(0, WITHIN_MODEL[:2], (40, 2))) / GSD
     seen = Seen(np.log(size), np.full((40, 2), 0.5), np.empty((40, 0)))
     # What is left of a class's own spread is common to all vehicles of one model.
     systematic = believed(MARGIN["margin"] + model.log_covariance + fleet.class_mean_covariance((model,)))

@@ -26,13 +26,13 @@ from .problem import Mix, believed, combine
 PLACES_OF_ONE = 0.02
 # Relative spread of length, width and height between the vehicles of one model [1]: between its versions it is 0.9 % of
 # length and 0.8 % of width (`registrations.VERSIONS`), and as much again between its generations; judged.
-SPREAD = np.array([0.02, 0.015, 0.02])
-CORRELATION = 0.6  # between a model's length and width; as within a segment of the market
+WITHIN_MODEL = np.array([0.02, 0.015, 0.02])
+LENGTH_WITH_WIDTH = 0.6  # correlation between the two within a model; as within a segment of the market
 # One sigma of each of the two scales beforehand, with which the sizes of the model are found: much more than fleets
 # allow, so that it does not move them. Each class is compared with them afterwards.
 ANY_SIZE = 0.5
-ANY_PLACE = (PlaceKind(20.0, 1.0),)
-APART = np.array([1.0, -1.0])  # lengths against widths
+ALL_PLACES = (PlaceKind(20.0, 1.0),)  # how closely one class follows its country's mix tells nothing
+LENGTH_LESS_WIDTH = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def of_one_model(
                 weight.append(
                     np.log(probability * own * part.weight * share)
                     + sizes.log_evidence
-                    + _log_normal(APART @ gap, APART @ covariance @ APART)
+                    + _log_normal(LENGTH_LESS_WIDTH @ gap, LENGTH_LESS_WIDTH @ covariance @ LENGTH_LESS_WIDTH)
                 )
                 mean.append(weights @ gap)
                 variance.append(weights @ covariance @ weights)
@@ -101,13 +101,13 @@ def _sizes(
     seen: Seen, fleet: Fleet, kind: np.ndarray, shrinkage: Shrinkage, confusion: Confusion | None
 ) -> _Sizes | None:
     """The sizes of the one model if it is of this `kind` (4,), as in `Class.kinds`."""
-    model = Class("one model", 1.0, fleet.mean, SPREAD * fleet.mean, CORRELATION, np.zeros(3), kind)
+    model = Class("one model", 1.0, fleet.mean, WITHIN_MODEL * fleet.mean, LENGTH_WITH_WIDTH, np.zeros(3), kind)
     systematic = ANY_SIZE**2 * np.eye(2)
-    (fits,) = fit(seen, [Mix((model,), systematic, combine(systematic), ANY_PLACE)], shrinkage, confusion)
+    (fits,) = fit(seen, [Mix((model,), systematic, combine(systematic), ALL_PLACES)], shrinkage, confusion)
     if fits is None:
         return None
     log_scale = fits.weight @ fits.log_scale
-    beforehand = _log_normal(APART @ log_scale, APART @ systematic @ APART)
+    beforehand = _log_normal(LENGTH_LESS_WIDTH @ log_scale, LENGTH_LESS_WIDTH @ systematic @ LENGTH_LESS_WIDTH)
     return _Sizes(shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand)
 
 
