@@ -357,7 +357,11 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
     }
     text = page({**read_json(model / "report.json"), "calibration": calibration}, ReportPictures())
     assert "512 views" in text and "<td>0.70, 0.45 m</td><td>0.71, 0.59 m</td>" in text
-    assert "<td>+18.7, +3.4 %</td><td>+1.1, +3.7 %</td>" in text
+    assert "<td>+18.7 ± 3.4 %</td><td>+1.1 ± 3.7 %</td>" in text and "<td>−0.7 ± 0.7 %</td>" in text
+    # Views of one altitude say nothing of how sizes change with distance.
+    calibration["trends"]["before"]["percent_per_pixel_doubling"] = [-215.0, 160.0]
+    text = page({**read_json(model / "report.json"), "calibration": calibration}, ReportPictures())
+    assert "half as far" not in text and "−215" not in text and "steeper by 10 degrees" in text
 
 
 @pytest.mark.slow

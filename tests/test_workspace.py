@@ -12,13 +12,14 @@ import pycolmap
 import pytest
 from support.geometry import dense_workspace
 
+from orthoscale.actions import workspace
 from orthoscale.actions.apply import apply
 from orthoscale.actions.fix import fix
-from orthoscale.actions.workspace import fix_all, models_in
+from orthoscale.actions.workspace import estimate_all, fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.geometry.sim3 import Sim3
-from orthoscale.requests import FixRequest
+from orthoscale.requests import EstimateRequest, FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.system.signatures import FOLDER_MARK
 
@@ -94,6 +95,25 @@ def test_a_scaled_copy_among_the_models_does_not_stop_them(work, tmp_path):
     outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
     assert outcomes[0].error is None and "in metres already" in str(outcomes[1].error)
     assert not (tmp_path / "out/metric").exists()
+
+
+@pytest.mark.parametrize("count", (1, 2))
+def test_boxes_of_one_picture_are_for_several_models_only_where_they_name_it(work, tmp_path, monkeypatch, count):
+    """Else models of one frame each would all be measured by the boxes of one picture, which is another's."""
+    asked = []
+
+    def refused(*args):
+        asked.append(next(request for request in args if isinstance(request, EstimateRequest)).alone)
+        raise TooLittleEvidence("not measured")
+
+    monkeypatch.setattr(workspace, "measured", refused)
+    monkeypatch.setattr(workspace, "written", refused)
+    models = models_in(work)[:count]
+    with pytest.raises(TooLittleEvidence):
+        estimate_all(models, EstimateRequest(**OPTIONS))
+    with pytest.raises(TooLittleEvidence):
+        fix_all(models, tmp_path / "out", FixRequest(**OPTIONS))
+    assert asked == [count == 1] * 2 * count
 
 
 def test_a_dry_run_speaks_of_each_model(work, tmp_path):

@@ -63,6 +63,7 @@ def models_in(path: Path) -> list[Path]:
 
 def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[ModelOutcome]:
     """`estimate` for each of `models`. Raises the first error if none has a scale."""
+    request = replace(request, alone=len(models) == 1)
 
     def estimated(model: Path) -> Result:
         return noted(measured(model, request, progress))
@@ -86,7 +87,8 @@ def fix_all(
     """
     with Outputs(request.overwrite, (workspace, models, request.inputs)) as outputs:
         folder = outputs.folder(out)
-        fresh = replace(request, overwrite=False)  # nothing can be in a new folder
+        # Nothing can be in a new folder.
+        fresh = replace(request, overwrite=False, alone=len(models) == 1)
         outcomes = _checked(
             [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
         )

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 JPEG_QUALITY = 82
 MODE_ORDER = ("planar", "oblique")
+VAGUE = 20.0  # [%] one sigma of a trend that is not told: all views are from one distance, or equally steep
 TRENDS = ("percent_per_10_degrees", "percent_per_pixel_doubling")  # of a vehicle's size, before and after calibration
 NAMES = {  # readable names of the report's checks
     "length": "lengths only",
@@ -177,9 +178,14 @@ def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if trends is None:
         return table
     return table + [
-        (name, _pair(trends["before"][key], "{:+.1f}", " %"), _pair(trends["after"][key], "{:+.1f}", " %"))
+        (name, _slope(*trends["before"][key]), _slope(*trends["after"][key]))
         for name, key in (("steeper by 10 degrees", TRENDS[0]), ("half as far", TRENDS[1]))
+        if max(trends[when][key][1] for when in ("before", "after")) < VAGUE
     ]
+
+
+def _slope(percent: float, sd: float) -> str:
+    return f"{percent:+.1f} ± {sd:.1f} %".replace("-", "−")
 
 
 def _pair(values: Sequence[float], form: str, unit: str) -> str:
