@@ -19,6 +19,7 @@ from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, l
 from orthoscale.actions.apply import apply
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
+from orthoscale.formats.geometry.files import scale_file
 from orthoscale.formats.geometry.ply import read_points
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.sources.scaling import scale_path
@@ -503,6 +504,21 @@ def test_a_compressed_pcd_repeats_long_pieces_of_long_before(tmp_path):
         (tmp_path / "a.pcd").write_bytes(damaged)
         with pytest.raises(InputError, match=r"a\.pcd: its compressed points are damaged"):
             scale_path(tmp_path / "a.pcd", tmp_path / "c.pcd", 2)
+
+
+@pytest.mark.parametrize("ending", ("ply", "pcd"))
+def test_numbers_that_may_be_lengths_are_named(tmp_path, ending):
+    """CloudCompare's distances to another cloud stay in model units; colours, normals and intensities are none."""
+    names = ("x", "y", "z", "nx", "intensity", "scalar_C2C_absolute_distances", "f_rest_44")
+    head = {
+        "ply": ["ply", "format ascii 1.0", "element vertex 1", *(f"property float {n}" for n in names), "end_header"],
+        "pcd": [f"FIELDS {' '.join(names)}", "SIZE" + " 4" * 7, "TYPE" + " F" * 7, "POINTS 1", "DATA ascii"],
+    }[ending]
+    path = tmp_path / f"cloud.{ending}"
+    path.write_text("\n".join([*head, "1 2 3 1 0.5 0.25 0", ""]))
+    notes = scale_file(path, tmp_path / f"metres.{ending}", 2.0)
+    assert notes == ["its scalar_C2C_absolute_distances stay as they are; multiply by 2 what of these is a length"]
+    assert (tmp_path / f"metres.{ending}").read_text().split()[-7:] == ["2", "4", "6", "1", "0.5", "0.25", "0"]
 
 
 def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):

@@ -10,10 +10,12 @@ from pathlib import Path
 
 @dataclass
 class Referred:
-    """Files that a file refers to: those that lie beside it, and the names of those that do not."""
+    """Files that a file refers to: those that lie beside it, and the names of those that do not. notes : on the file
+    itself, for the user."""
 
     there: list[Path] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def add(self, path: Path, names: Iterable[str]) -> list[Path]:
         """Look for `names` as the file `path` refers to them; returns those that exist and are new."""

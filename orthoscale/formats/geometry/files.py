@@ -89,7 +89,7 @@ def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | 
         if others.take(place := _beside(path, source, target), path):
             scale_ply(path, place, scale)
     absent = [f"refers to {shown(name)}, which is not beside it" for name in (*copied.absent, *scaled.absent)]
-    return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + notes
+    return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + copied.notes + notes
 
 
 def place_beside(path: Path, source: Path) -> Path:

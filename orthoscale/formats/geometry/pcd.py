@@ -12,6 +12,7 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB
 from .mark import MARK, mark, refuse_marked
 from .ply import ROWS
+from .properties import left_as_they_are
 from .words import grown, header_line
 
 FORMS = ("ascii", "binary", "binary_compressed")
@@ -19,8 +20,8 @@ LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # position of a point, and of
 SIZES = ("radius", "range")  # of a surfel, and its distance from the sensor; whole numbers are in a sensor's own unit
 
 
-def scale_pcd(source: Path, target: Path, scale: float) -> None:
-    """Write the PCD file `source` to `target` in metres. Raises InputError, UsageError."""
+def scale_pcd(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the PCD file `source` to `target` in metres; returns notes for the user. Raises InputError, UsageError."""
     with source.open("rb") as file, target.open("wb") as out:
         lines, row, count = _header(source, file)
         decimal = [name for name in row.names or () if row[name].base.kind == "f"]
@@ -47,6 +48,7 @@ def scale_pcd(source: Path, target: Path, scale: float) -> None:
             shutil.copyfileobj(file, out, 1 << 20)
         else:
             out.write(_bytes(_decompressed(source, file, row, count), lengths, scale))
+    return left_as_they_are([name for name in decimal if name not in lengths], scale)
 
 
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:

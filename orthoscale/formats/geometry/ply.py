@@ -19,6 +19,7 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
+from .properties import left_as_they_are
 from .words import grown, header_line
 
 PLY_TYPES = {
@@ -62,6 +63,11 @@ class _Element:
         names = [name for name, _ in self.properties if self.name == "vertex"]
         return [name for name in names if re.fullmatch(r"scale_\d", name) and SPLAT & set(names)]
 
+    @property
+    def unscaled(self) -> list[str]:
+        """Names of the decimal numbers that stay as they are."""
+        return [name for name, kind in self.properties if kind[:1] == "f" and name not in (*self.lengths, *self.logs)]
+
     def least(self, form: str) -> int:
         """The smallest number of bytes that the element takes: one for a list (its count), two for a word of text (with
         its separator)."""
@@ -103,7 +109,7 @@ def scale_ply(source: Path, target: Path, scale: float) -> Referred:
                 else:
                     _binary(source, file, out, element, ORDER[form], scale)
             shutil.copyfileobj(file, out, 1 << 20)
-    textures = Referred()
+    textures = Referred(notes=left_as_they_are(vertex.unscaled, scale))
     textures.add(source, [line.removeprefix(TEXTURE).strip() for line in lines if line.startswith(TEXTURE)])
     return textures
 
