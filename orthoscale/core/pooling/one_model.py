@@ -60,7 +60,7 @@ def of_one_model(
     part of the uncertainty, the (2, 2) covariances of the errors common to all vehicles.
     """
     kinds = np.eye(len(KINDS)) if seen.called.size else np.ones((1, len(KINDS))) / len(KINDS)
-    every = [_sizes(seen, fleet, kind, shrinkage, confusion) for kind in kinds]
+    every = _sizes(seen, fleet, kinds, shrinkage, confusion)
     weight, mean, variance = [], [], []
     for one, probability in zip(fleet.candidates or (fleet,), fleet.prior or (1.0,), strict=True):
         country, larger = one.class_mean_covariance(one.classes), left_out(one.classes)
@@ -98,17 +98,22 @@ class _Sizes:
 
 
 def _sizes(
-    seen: Seen, fleet: Fleet, kind: np.ndarray, shrinkage: Shrinkage, confusion: Confusion | None
-) -> _Sizes | None:
-    """The sizes of the one model if it is of this `kind` (4,), as in `Class.kinds`."""
-    model = Class("one model", 1.0, fleet.mean, WITHIN_MODEL * fleet.mean, LENGTH_WITH_WIDTH, np.zeros(3), kind)
+    seen: Seen, fleet: Fleet, kinds: np.ndarray, shrinkage: Shrinkage, confusion: Confusion | None
+) -> list[_Sizes | None]:
+    """The sizes of the one model for each of `kinds` (K, 4) that it may be of, as in `Class.kinds`; None where it
+    cannot be."""
     systematic = ANY_SIZE**2 * np.eye(2)
-    (fits,) = fit(seen, [Mix((model,), systematic, combine(systematic), ALL_PLACES)], shrinkage, confusion)
-    if fits is None:
-        return None
-    log_scale = fits.weight @ fits.log_scale
-    beforehand = _log_normal(LENGTH_LESS_WIDTH @ log_scale, LENGTH_LESS_WIDTH @ systematic @ LENGTH_LESS_WIDTH)
-    return _Sizes(shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand)
+    model = Class("one model", 1.0, fleet.mean, WITHIN_MODEL * fleet.mean, LENGTH_WITH_WIDTH, np.zeros(3))
+    mixes = [Mix((replace(model, kinds=kind),), systematic, combine(systematic), ALL_PLACES) for kind in kinds]
+    out: list[_Sizes | None] = []
+    for fits in fit(seen, mixes, shrinkage, confusion):
+        if fits is None:
+            out.append(None)
+            continue
+        log_scale = fits.weight @ fits.log_scale
+        beforehand = _log_normal(LENGTH_LESS_WIDTH @ log_scale, LENGTH_LESS_WIDTH @ systematic @ LENGTH_LESS_WIDTH)
+        out.append(_Sizes(shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand))
+    return out
 
 
 def _log_normal(value: float, variance: float) -> float:
