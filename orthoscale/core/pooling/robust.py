@@ -8,7 +8,8 @@ of vehicles that may be there. Their joint covariance is
                  + uncertainty of the detector's margin  + uncertainty of the geometry
 
 and the answer is their best linear combination (generalised least squares). So lengths dominate where pixels are coarse
-and widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles.
+and widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles. `one_model` adds
+what follows if all vehicles are of a single model.
 """
 
 from __future__ import annotations
