@@ -1,10 +1,15 @@
 """The command as a person or a script runs it: exit codes, one sentence per error, machine-readable output."""
 
+import contextlib
+import errno
 import io
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -214,18 +219,82 @@ def test_importing_costs_nothing():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+class Full(io.StringIO):
+    """A stream on a disk without room."""
+
+    error = errno.ENOSPC
+
+    def write(self, text):
+        raise OSError(self.error, os.strerror(self.error))
+
+
+class Unread(Full):
+    """A pipe that nobody reads."""
+
+    error = errno.EPIPE
+
+
+def into(stdout, *words, stderr=None):
+    """The exit code of the command with these streams, and what it printed on standard error."""
+    told = stderr or io.StringIO()
+    arguments = mock.patch.object(sys, "argv", ["orthoscale", *map(str, words)])
+    streams = contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(told)
+    with arguments, streams[0], streams[1], pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, told.getvalue()
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-def test_what_cannot_be_printed_is_an_output_that_was_not_written(monkeypatch, capsys):
+def test_what_cannot_be_printed_is_an_output_that_was_not_written():
     with open("/dev/full", "wb", buffering=0) as full:
-        monkeypatch.setattr(sys, "argv", ["orthoscale", "fleets"])
-        monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(full, write_through=True))
-        with pytest.raises(SystemExit) as ended:
-            main()
-        monkeypatch.undo()
-    assert ended.value.code == 6
-    assert (
-        "standard output, or a temporary file, cannot be written (No space left on device)" in capsys.readouterr().err
-    )
+        code, told = into(io.TextIOWrapper(full, write_through=True), "fleets")
+    assert code == 6
+    assert told.startswith("error: standard output cannot be written (No space left on device)\nNothing was written. ")
+
+
+@pytest.fixture
+def park(tmp_path, monkeypatch):
+    """Words for a picture of a car park and its boxes, in the current folder."""
+    car_park(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return ["park.png", "--detections", "detections.json", "--anchors", "none", "--fleet", "DE"]
+
+
+@pytest.mark.parametrize(
+    "command, written",
+    [
+        (["fix", "--out", "a.tif", "--report", "json", "--json"], "a.tif.png, a.tif.json, a.tif"),
+        (["fix", "--out", "a.tif", "--report", "none"], "a.tif"),
+        (["estimate", "--save-detections", "boxes.json"], "boxes.json"),
+    ],
+)
+def test_outputs_stay_and_are_named_if_standard_output_is_full(command, written, park):
+    """To run again would fail: they are there. It said that, and to make room for temporary files."""
+    code, told = into(Full(), *command, *park)
+    said = f"In place and complete: {written}. What was to be printed is lost.\n"
+    assert (code, told) == (6, f"error: standard output cannot be written (No space left on device)\n{said}")
+    assert all(Path(name).is_file() for name in written.split(", "))
+
+
+def test_standard_output_is_not_taken_for_the_summary_of_several_inputs(park):
+    """Its error was that of the summary, of which "nothing was left behind", while the copy stayed."""
+    shutil.copy("park.png", "again.png")
+    code, told = into(Full(), "fix", *park, "again.png", "--summary", "rows.csv", "--out", "many", "--report", "none")
+    assert code == 6 and "standard output cannot be written" in told and "rows.csv" not in told
+    assert f"In place and complete: {Path('many/park.tif').absolute()}." in told
+    assert not Path("rows.csv").exists() and Path("many/park.tif").is_file()
+
+
+def test_a_reader_that_leaves_ends_the_command_as_shells_expect(park):
+    """141, not the exit code of a bug, by which click would end it."""
+    assert into(Unread(), "estimate", *park) == (141, "")
+    assert into(Unread(), "fleets") == (141, "")
+
+
+@pytest.mark.parametrize("stdout", [io.StringIO, Full])
+def test_exit_codes_do_not_depend_on_standard_error(stdout, park):
+    assert into(stdout(), "estimate", "gone.png", stderr=Full())[0] == 5
+    assert into(stdout(), "estimate", stderr=Full())[0] == 2
 
 
 @pytest.mark.parametrize("command", ["estimate", "fix", "check"])

@@ -54,3 +54,15 @@ def test_the_network_tells_nobody_that_it_is_used(tmp_path):
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.rglob("*"))
+
+
+@pytest.mark.slow
+def test_letters_that_standard_output_cannot_hold_are_escaped(tmp_path):
+    """`fix` ended with 1, as by a bug, after the copy was in place: in ISO-8859-1, and into files on Windows."""
+    car_park(tmp_path)
+    words = ["park.png", "--detections", "detections.json", "--fleet", "DE", "--anchors", "none", "--out", "市.tif"]
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    command = [sys.executable, "-m", "orthoscale", "fix", *words]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert rb"written    \u5e02.tif" in done.stdout

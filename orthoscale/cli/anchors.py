@@ -9,6 +9,7 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -67,7 +68,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
             (found.write_one if single else found.write)(place)
     told = found.document()
     if as_json:
-        click.echo(json_in_utf8(told))
+        echo(json_in_utf8(told))
         return
     by = "as told"
     if found.scale is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from ..formats.names import json_in_utf8
+from ..system.printing import echo
 from .options import EXIT_CODES, PATH, command, debug_option, json_option, option, overwrite_option, say
 
 
@@ -36,7 +37,7 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     written = applying.apply(sim3, files, out, overwrite=overwrite)
     if as_json:
         texts = {str(path): notes for path, notes in written.items()}
-        click.echo(json_in_utf8({"scale": Sim3.load(sim3).scale, "written": texts}))
+        echo(json_in_utf8({"scale": Sim3.load(sim3).scale, "written": texts}))
         return
     for path, notes in written.items():
         say(f"written    {path}" + "".join(f"\n           {note}" for note in notes))

@@ -9,6 +9,7 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -67,7 +68,7 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
         if partial is not None:
             save_calibration(calibration, partial)
     if as_json:
-        click.echo(json_in_utf8(calibration_values(calibration)))
+        echo(json_in_utf8(calibration_values(calibration)))
         return
     ruler, made = calibration.ruler, calibration.made_from
     lines = [f"detector   {calibration.detector}"]

@@ -6,11 +6,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from ..errors import EvidenceDisagrees, UsageError
 from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
+from ..system.printing import echo
 from .many import Many, inputs, rehearse, run, tell_rehearsals
 from .options import (
     PATH,
@@ -107,7 +106,7 @@ def check(
         boxes.take(outcome.result.detections, source)
         boxes.save()
     if as_json:
-        click.echo(json_in_utf8(outcome.to_dict()))
+        echo(json_in_utf8(outcome.to_dict()))
     else:
         _show(outcome)
     if outcome.disagrees:  # the output above says so
@@ -160,7 +159,7 @@ def _against_model(
         ortho, frames = measured(plan, of_ortho, progress), measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)
     if as_json:
-        click.echo(json_in_utf8(checked.document()))
+        echo(json_in_utf8(checked.document()))
     else:
         low, high = checked.interval90_by_model
         say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")

@@ -9,6 +9,7 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -94,7 +95,7 @@ def crop(
         cropping.write_crops(crops, shown.picture, shown.told, folder, progress)
     text = cropping.document(crops, shown.told)
     if as_json:
-        click.echo(json_in_utf8(text))
+        echo(json_in_utf8(text))
         return
     low, high = shown.told.get("gsd_interval90", (None, None))
     gsd_cm = 100 * shown.gsd

@@ -11,6 +11,7 @@ import click
 from ..errors import UsageError
 from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -146,7 +147,7 @@ def evaluate(
             shown = "\n".join([table(text), *(f"written    {output}" for output in outputs)])
         for partial in partials:
             report.write(text, partial)
-    click.echo(json_in_utf8(text)) if as_json else say(shown)
+    echo(json_in_utf8(text)) if as_json else say(shown)
 
 
 def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from ..formats.names import json_in_utf8
+from ..system.printing import echo
 from .options import PATH, command, debug_option, json_option
 
 
@@ -35,4 +36,4 @@ def explain(report: Path, as_json: bool) -> None:
         found = explanation.explain(text)
     except InputError as error:
         raise InputError(f"{report}: {error.message}", error.hint) from error
-    click.echo(json_in_utf8(found) if as_json else explanation.in_words(found))
+    echo(json_in_utf8(found) if as_json else explanation.in_words(found))

@@ -10,6 +10,7 @@ import click
 
 from ..core.market_segments import AXES
 from ..errors import UsageError
+from ..system.printing import echo
 from .options import PATH, command, debug_option, json_option, option, overwrite_option, refuse_idle_overwrite, say
 
 if TYPE_CHECKING:
@@ -60,10 +61,10 @@ def fleets(
 
     table = [load_fleet(code) for code in codes or fleet_codes()]
     if as_json:
-        click.echo(json.dumps([_plain(f) for f in table], indent=1, ensure_ascii=False))
+        echo(json.dumps([_plain(f) for f in table], indent=1, ensure_ascii=False))
         return
     for f in table:
-        click.echo(_in_full(f) if codes else _in_short(f))
+        echo(_in_full(f) if codes else _in_short(f))
 
 
 def _from_register(path: Path, out: Path, overwrite: bool, as_json: bool) -> None:
@@ -76,7 +77,7 @@ def _from_register(path: Path, out: Path, overwrite: bool, as_json: bool) -> Non
         text = json.dumps(register.entry, indent=1, ensure_ascii=False)
         partial.write_text(text, encoding="utf-8")
     if as_json:
-        click.echo(text)
+        echo(text)
         return
     sizes = ", ".join(f"{axis} {register.entry[axis][0]:.2f} +- {register.entry[axis][1]:.2f} m" for axis in AXES)
     lines = [

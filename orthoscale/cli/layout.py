@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from ..formats.names import json_in_utf8
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -95,7 +96,7 @@ def layout(
     if list_them:
         if any((path, lot, facilities, out, avoid, lot_pixels, scale_error is not None, overwrite)):
             raise UsageError("--list only lists the facilities", "Remove the other options, or --list.")
-        click.echo(json.dumps(catalogue_values(catalogue)) if as_json else catalogue_table(catalogue))
+        echo(json.dumps(catalogue_values(catalogue)) if as_json else catalogue_table(catalogue))
         return
     refuse_idle_overwrite(overwrite, out)
     for what, given in (("SCALED.tif", path), ("--lot", lot), ("--facility", facilities)):
@@ -122,4 +123,4 @@ def layout(
         outputs.protect(*made.ground.source.files)
         if folder is not None:
             export.write(made, folder)
-    click.echo(json_in_utf8(planning.document(made))) if as_json else say(summary(made, out))
+    echo(json_in_utf8(planning.document(made))) if as_json else say(summary(made, out))

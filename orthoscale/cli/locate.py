@@ -9,6 +9,7 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -111,7 +112,7 @@ def locate(
         found = located(paths, sky, request, progress)
         found.write(folder)
     if as_json:
-        click.echo(json_in_utf8(found.to_dict()))
+        echo(json_in_utf8(found.to_dict()))
     else:
         from ..locate.terminal import summary
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 import io
 import logging
+import os
 import sys
 import traceback
 from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -36,6 +38,7 @@ COMMANDS = {  # command: module of this package that has the function of that na
 }
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # errors that only writing can raise
+UNREAD = 141  # 128 plus the number of SIGPIPE, as shells count
 
 
 class Commands(click.Group):
@@ -50,6 +53,15 @@ class Commands(click.Group):
         if name not in COMMANDS:
             return None
         return getattr(import_module(f".{COMMANDS[name]}", __package__), name)
+
+    def invoke(self, context: click.Context) -> Any:
+        """Run the command; ends with UNREAD if nobody reads what it prints any more. click itself would end with 1,
+        the exit code of a bug."""
+        try:
+            return super().invoke(context)
+        except BrokenPipeError:
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - Python flushes it when it ends
+            sys.exit(UNREAD)
 
 
 @click.group(
@@ -88,8 +100,6 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         stopping.say(partial(click.echo, err=True))
         sys.exit(stopping.exit_code())
-    except BrokenPipeError:
-        sys.exit(141)
     except OSError as error:  # those of outputs have become OutputErrors already
         if error.errno in NO_ROOM:
             place = "standard output, or a temporary file," if error.filename is None else str(error.filename)

@@ -16,6 +16,7 @@ from ..errors import LONGEST_MESSAGE, OrthoscaleError, UsageError
 from ..errors import shown as printable
 from ..formats.names import in_utf8, json_in_utf8
 from ..system.paths import absolute
+from ..system.printing import echo
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = F
     for one, rows in zip(inputs, told, strict=True):
         for label, text in rows:
             one.setdefault(label, []).append(text)
-    click.echo(json_in_utf8({"format": REHEARSAL_FORMAT, "inputs": inputs}))
+    echo(json_in_utf8({"format": REHEARSAL_FORMAT, "inputs": inputs}))
 
 
 def rehearse_in_new_folder(
@@ -178,7 +179,7 @@ def run(
         for place, summary in zip(partials, many.summaries, strict=True):
             write_summary(rows, place, summary)
     if as_json:
-        click.echo(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}))
+        echo(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}))
     _tell(rows, set() if overwrite else {str(absolute(place)) for place in there})
     sys.exit(worst(rows))
 

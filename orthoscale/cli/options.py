@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable, Collection
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import Field
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ import click
 
 from ..errors import UsageError, shown
 from ..option import GROUPS, Option, flag, options_in
+from ..system.printing import echo
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -68,8 +69,17 @@ PATH = AnyPath()
 
 
 def say(text: str, err: bool = False) -> None:
-    """Print lines that may contain names from files, with control characters escaped."""
-    click.echo("\n".join(shown(line, 20_000) for line in text.split("\n")), err=err)
+    """Print lines that may contain names from files, with control characters escaped.
+
+    err : on standard error, where what cannot be printed is lost: nobody can be told of it, and no work may end for it.
+    Else raises what `printing` raises.
+    """
+    lines = "\n".join(shown(line, 20_000) for line in text.split("\n"))
+    if not err:
+        echo(lines)
+        return
+    with suppress(OSError):
+        click.echo(lines, err=True)
 
 
 overwrite_option = option(

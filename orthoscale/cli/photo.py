@@ -10,6 +10,7 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
+from ..system.printing import echo
 from .options import (
     EXIT_CODES,
     PATH,
@@ -91,7 +92,7 @@ def photo(
         for partial in partials:
             tables.write(outcomes, text, partial)
     if as_json:
-        click.echo(json_in_utf8(text))
+        echo(json_in_utf8(text))
     else:
         from ..photos.terminal import summary
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from ..system.printing import echo
 from .options import EXIT_CODES, PATH, command, debug_option, memory_option, option, overwrite_option, say
 
 
@@ -14,7 +15,7 @@ def _print_schema(context: click.Context, parameter: click.Parameter, asked: boo
     if asked:
         from ..report.schema import report_schema
 
-        click.echo(json.dumps(report_schema(), indent=1))
+        echo(json.dumps(report_schema(), indent=1))
         context.exit()
 
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from ..errors import Incomplete, UsageError
 from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest, FixRequest
+from ..system.printing import echo
 from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
 from .options import (
     EXIT_CODES,
@@ -183,7 +182,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
 
 def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
-        click.echo(json_in_utf8({outcome.model.name: outcome.document() for outcome in outcomes}))
+        echo(json_in_utf8({outcome.model.name: outcome.document() for outcome in outcomes}))
         return
     from ..report.terminal import show
 
@@ -197,7 +196,7 @@ def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = 
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
-        click.echo(json_in_utf8(result.to_dict()))
+        echo(json_in_utf8(result.to_dict()))
     else:
         from ..report.terminal import show
 

@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-import click
-
 from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
+from ..system.printing import echo, printing
 from .result import Result
 from .wording import counted, counted_kinds, likely_fleets
 
@@ -32,14 +31,15 @@ def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> 
 
     console = Console(color_system=None if os.environ.get("NO_COLOR") else "auto", highlight=False)
     if not console.is_terminal:
-        click.echo(summary(result, written))
+        echo(summary(result, written))
         return
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for k, (label, value) in enumerate(rows(result, written)):
         table.add_row(Text(label, "dim"), Text(value, VERDICT_STYLES[result.scale.verdict] if k == 0 else ""))
-    console.print(table)
+    with printing():
+        console.print(table)
 
 
 def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -10,7 +11,8 @@ from contextlib import contextmanager
 
 def open_streams() -> None:
     """Connect standard streams that a scheduler or shell closed (``>&-``) to the null device. Otherwise Python has None
-    for them, and the next files opened would get their descriptors, and in them what C libraries print."""
+    for them, and the next files opened would get their descriptors, and in them what C libraries print. Letters that
+    standard output cannot encode are escaped."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -20,6 +22,9 @@ def open_streams() -> None:
     sys.stdin = sys.stdin or open(os.devnull, encoding="utf-8")  # noqa: SIM115
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        # As standard error does: a name that its encoding lacks (Latin-1, Windows' pages) must not end a run.
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 @contextmanager
