@@ -907,6 +907,46 @@ def test_all_that_a_picture_says_of_itself_comes_along(tmp_path, build, cog):
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("cog", [False, True])
+def test_the_metadata_of_bands_come_along(tmp_path, cog):
+    """GDAL leaves them out of a COG if it is to copy all domains."""
+    path = make(tmp_path / "a.tif", prepare=lambda d: d.update_tags(2, FILTER="green"))
+    with RasterSource.open(path) as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        assert d.tags(2)["FILTER"] == "green"
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+def test_no_geolocation_array_stays(tmp_path, cog):
+    """It is former georeferencing; the direct copy of a TIFF kept it."""
+    array = {"X_DATASET": "lon.tif", "Y_DATASET": "lat.tif", "X_BAND": "1", "Y_BAND": "1"}
+    path = make(tmp_path / "a.tif", prepare=lambda d: d.update_tags(ns="GEOLOCATION", **array))
+    with RasterSource.open(path) as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(path) as a, rasterio.open(tmp_path / "b.tif") as b:
+        assert a.tags(ns="GEOLOCATION") and not b.tags(ns="GEOLOCATION")
+        assert np.array_equal(a.read(), b.read())
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_metadata_that_may_tell_the_former_scale_are_named(tmp_path):
+    def prepare(dataset):
+        dataset.update_tags(GSD="0.31", TIFFTAG_XRESOLUTION="72", AUTHOR="me")
+        dataset.update_tags(2, Pixel_Size="31 cm")
+        dataset.update_tags(ns="IMD", productGSD="0.31")
+
+    with RasterSource.open(make(tmp_path / "a.tif", prepare=prepare)) as source:
+        source.write(tmp_path / "b.tif", 0.1)
+    told = "keeps GSD=0.31, productGSD=0.31, Pixel_Size=31 cm in its metadata, which may tell the former scale"
+    assert f"b.tif {told}" in [note.text for note in source.notes]
+    with RasterSource.open(make(tmp_path / "plain.tif")) as source:
+        source.write(tmp_path / "c.tif", 0.1)
+    assert not any("former scale" in note.text for note in source.notes)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
 @pytest.mark.parametrize("mask_file", [False, True])
 def test_a_negative_stays_one(tmp_path, mask_file, cog):
     pixels = scene(1)

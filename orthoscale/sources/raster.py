@@ -408,6 +408,8 @@ class RasterSource:
             notes.append(f"bands of {self.name} have several nodata values, a GeoTIFF has one: {path.name} has a mask")
         if original.images > 1:
             notes.append(f"{path.name} has only the first of the {original.images} images in {self.name}")
+        if told := original.sizes_told:
+            notes.append(f"{path.name} keeps {', '.join(told)} in its metadata, which may tell the former scale")
         self.notes += [note for note in informing(notes) if note not in self.notes]
 
 

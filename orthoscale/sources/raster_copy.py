@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shutil
 import threading
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.windows import Window
 
 from ..core.source import Placement
-from ..errors import OutputError
+from ..errors import OutputError, shown
 from ..formats.names import in_utf8
 from ..system.signatures import signature
 from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
@@ -35,6 +36,9 @@ _TRANSPARENT = "NODATA_VALUES"  # GDAL's tag for a colour that means no data: a 
 # georeferencing.
 _OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
 SCALE_TAG = "ORTHOSCALE_SCALE"  # metadata of a copy: its scale in words, which stays with the file, unlike the report
+# Parts of names, without what is no letter, by which metadata tell the size of a pixel: GSD, productGSD of Maxar,
+# PIXEL_SIZE, Ground_Sample_Distance, SPATIAL_RESOLUTION. The tags of TIFF and EXIF are of prints and sensors.
+_SIZES = ("gsd", "groundsampl", "pixelsize", "cellsize", "groundresolution", "spatialresolution", "imageresolution")
 _XMP = "xml:XMP"  # GDAL's domain and name of XMP: author, camera, rights
 
 
@@ -99,13 +103,22 @@ class Original:
         return _TRANSPARENT in self.dataset.tags()
 
     def _can_be_copied(self) -> bool:
-        """Whether it is a TIFF with all its pixels in the one file, without rational polynomials (rasterio cannot
-        remove those) or other images (which would keep their former georeferencing), and with room for a new directory
-        at its end if it is a classic one, whose offsets have 32 bits."""
+        """Whether it is a TIFF with all its pixels in the one file, without rational polynomials or a GEOLOCATION array
+        (rasterio cannot remove those) or other images (which would keep their former georeferencing), and with room for
+        a new directory at its end if it is a classic one, whose offsets have 32 bits."""
         dataset = self.dataset
         in_one_file = not any(f.endswith(".msk") for f in dataset.files) and not self.has_several_nodata
-        alone = not dataset.rpcs and self.images == 1
+        alone = not dataset.rpcs and not dataset.tags(ns="GEOLOCATION") and self.images == 1
         return dataset.driver == "GTiff" and in_one_file and alone and self._has_room()
+
+    @property
+    def sizes_told(self) -> list[str]:
+        """Those of its metadata that come along and may tell its former scale, as "NAME=VALUE"."""
+        told = {}
+        for band in (0, *self.dataset.indexes):
+            for domain in (None, *_others(self.dataset, band)):
+                told |= self.dataset.tags(band, ns=domain)
+        return [f"{name}={shown(value, 40)}" for name, value in told.items() if _tells_size(name)]
 
     def _has_room(self) -> bool:
         with self.path.open("rb") as file:
@@ -118,7 +131,10 @@ class Original:
 
     def _optimise(self, plain: Path, path: Path) -> None:
         """Write a cloud-optimised copy of the GeoTIFF `plain` to `path`. Always deflate: pixels that were once
-        compressed as JPEG stay as they were decoded, at the cost of a larger file."""
+        compressed as JPEG stay as they were decoded, at the cost of a larger file.
+
+        GDAL copies either the bands' own metadata or all other domains (3.10): the latter, where there are any.
+        """
         predictor = "FLOATING_POINT" if np.result_type(*self.dataset.dtypes).kind == "f" else "STANDARD"
         if "NBITS" in self.dataset.tags(1, ns="IMAGE_STRUCTURE"):  # such as 1 or 12 bits per value: no predictor exists
             predictor = "NO"
@@ -133,7 +149,7 @@ class Original:
             OVERVIEWS="AUTO",
             RESAMPLING="NEAREST" if self.paletted else "AVERAGE",
             NUM_THREADS="ALL_CPUS",
-            COPY_SRC_MDD="YES",  # all domains of metadata
+            COPY_SRC_MDD="YES" if any(_others(self.dataset, band) for band in (0, *self.dataset.indexes)) else "AUTO",
         )
 
     def convert(self, path: Path, place: Placement, **options: Any) -> None:
@@ -195,8 +211,8 @@ class Original:
                 had.pop("AREA_OR_POINT", None)
             if new := {k: v for k, v in tags.items() if k not in had}:
                 copy.update_tags(band, **new)
-            for domain in source.tag_namespaces(band):
-                if domain not in _OWN_DOMAINS and not domain.startswith("xml:") and not copy.tags(band, ns=domain):
+            for domain in _others(source, band):
+                if domain != _XMP and not copy.tags(band, ns=domain):
                     copy.update_tags(band, ns=domain, **source.tags(band, ns=domain))
         # For such a domain GDAL takes the text "name=value", which rasterio makes of a tag, as the domain's content.
         name, equals, text = source.tags(ns=_XMP).get(_XMP, "").partition("=")
@@ -228,7 +244,7 @@ class Original:
                 "negative": not _negative(source) or _negative(copy) or _has_palette(copy),  # GDAL may make a palette
                 "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
                 "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
-                "ground control": not copy.gcps[0] and not copy.rpcs,
+                "ground control": not copy.gcps[0] and not copy.rpcs and not copy.tags(ns="GEOLOCATION"),
             }
             wrong = [name for name, right in told.items() if not right]
             for window in [] if wrong else self._to_compare():
@@ -258,6 +274,18 @@ class Original:
         rng, side = np.random.default_rng(0), min(512, self.dataset.width, self.dataset.height)
         for y in np.sort(rng.integers(0, self.dataset.height - side + 1, 64)):
             yield Window(int(rng.integers(0, self.dataset.width - side + 1)), int(y), side, side)
+
+
+def _others(dataset: DatasetReader, band: int) -> list[str]:
+    """Domains of a band's metadata, or of the whole image's (0), that are copied besides the default one."""
+    domains = [domain for domain in dataset.tag_namespaces(band) if domain not in _OWN_DOMAINS]
+    return [domain for domain in domains if domain == _XMP or not domain.startswith("xml:")]
+
+
+def _tells_size(name: str) -> bool:
+    """Whether metadata of that name tell the size of a pixel on the ground."""
+    letters = re.sub("[^a-z]", "", name.lower())
+    return any(part in letters for part in _SIZES)
 
 
 def _fits(value: float, dtype: str) -> bool:
