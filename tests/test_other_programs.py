@@ -162,6 +162,20 @@ def test_a_nerfstudio_model_in_a_maps_coordinates_is_metric_already(made, tmp_pa
     assert any("40,311 m away from its place" in note.text for note in source.notes)
 
 
+def test_what_a_transforms_json_names_in_model_units_is_told(made, tmp_path):
+    """As `apply` tells it: depth maps beside it are not scaled."""
+    path = nerfstudio(made[0], tmp_path / "in")
+    text = json.loads(path.read_text())
+    text["frames"][0]["depth_file_path"] = "depth.npy"
+    path.write_text(json.dumps(text))
+    source = open_source(path, need_images=False)
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    said = "transforms.json: the depth maps that it names stay in model units: multiply them by 2"
+    assert said in [note.text for note in source.notes]
+    assert not any("with sparse_pc.ply" in note.text for note in source.notes)
+
+
 def test_a_colmap_model_comes_first(made, tmp_path):
     save(made[0], tmp_path / "sparse/0", "bin")
     nerfstudio(made[0], tmp_path)

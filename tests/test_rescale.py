@@ -521,6 +521,55 @@ def test_numbers_that_may_be_lengths_are_named(tmp_path, ending):
     assert (tmp_path / f"metres.{ending}").read_text().split()[-7:] == ["2", "4", "6", "1", "0.5", "0.25", "0"]
 
 
+def extra(name, kind, options=0):
+    """The description of an extra number of a LAS file's points."""
+    return struct.pack("<2xBB32s156x", kind, options, name)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_extra_numbers_of_a_las_file_that_may_be_lengths_are_named(tmp_path, extended):
+    """As those of PLY and PCD are; whole numbers are in a unit of their own, if they have no factor."""
+    numbers = [
+        (b"C2C distance", 9),
+        (b"normal_x", 10),
+        (b"ring", 1),
+        (b"height", 4, 8),
+        (b"undescribed", 0, 8),
+        (b"", 10),
+    ]
+    content = b"".join(extra(*each) for each in numbers)
+    (tmp_path / "a.las").write_bytes(las(b"LASF_Spec", 4, content, extended=extended))
+    notes = scale_file(tmp_path / "a.las", tmp_path / "b.las", 2.0)
+    assert notes == ["its C2C distance, height, nameless stay as they are; multiply by 2 what of these is a length"]
+    (tmp_path / "a.las").write_bytes(las(b"LASF_Spec", 3, content, extended=extended))
+    assert scale_file(tmp_path / "a.las", tmp_path / "c.las", 2.0) == []
+
+
+def test_named_columns_of_points_that_may_be_lengths_are_named(tmp_path):
+    (tmp_path / "a.xyz").write_text("//X Y Z Rf Intensity Roughness_(0.05)\n1 2 3 0.5 7 0.25\n")
+    notes = scale_file(tmp_path / "a.xyz", tmp_path / "b.xyz", 2.0)
+    assert notes == ["its roughness_(0.05) stay as they are; multiply by 2 what of these is a length"]
+    assert (tmp_path / "b.xyz").read_text().splitlines()[1] == "2 4 6 0.5 7 0.25"
+    (tmp_path / "a.pts").write_text("1\n1 2 3 0.5 7 0.25\n")
+    assert scale_file(tmp_path / "a.pts", tmp_path / "b.pts", 2.0) == []
+
+
+FIELD = "ply\nformat ascii 1.0\nelement vertex 1\n"
+FIELD += "".join(f"property float {name}\n" for name in ("x", "y", "z", "range_m")) + "end_header\n1 2 3 4\n"
+
+
+def test_numbers_of_clouds_that_come_along_are_named_too(tmp_path):
+    """Those of the cloud that a transforms.json names, and of one in a dense workspace."""
+    (tmp_path / "sparse_pc.ply").write_text(FIELD)
+    frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "a.json").write_text(json.dumps({"frames": [frame], "ply_file_path": "sparse_pc.ply"}))
+    said = "its range_m stay as they are; multiply by 14.157 what of these is a length"
+    assert applied(tmp_path, tmp_path / "a.json")[1] == ["with sparse_pc.ply", f"sparse_pc.ply: {said}"]
+    (dense_workspace(tmp_path / "dense") / "scan.ply").write_text(FIELD)
+    (tmp_path / "out").mkdir()
+    assert f"scan.ply: {said}" in scale_path(tmp_path / "dense", tmp_path / "out", SCALE)
+
+
 def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):
     head = "VERSION 0.7\nFIELDS x y z radius range curvature\nSIZE 4 4 4 4 4 4\nTYPE F F F F {} F\n"
     head += "WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"

@@ -370,6 +370,12 @@ def scale_workspace(
 ) -> list[str]:
     """Write the dense workspace `source` into the empty folder `target` in metres; returns notes for the report.
     metric : as for `scale_model`."""
-    return scale_dense(
-        source, target, scale, lambda a, b: scale_model(a, b, scale, metric), lambda a, b: reason_left(a, b, scale)
+    of_files: list[str] = []
+    notes = scale_dense(
+        source,
+        target,
+        scale,
+        lambda a, b: scale_model(a, b, scale, metric),
+        lambda a, b: reason_left(a, b, scale, of_files),
     )
+    return [*notes, *of_files]

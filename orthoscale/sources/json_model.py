@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from ..core.remarks import informing
 from ..errors import InputError
 from ..formats.geometry.beside import beside
-from ..formats.geometry.files import place_beside, scale_file
+from ..formats.geometry.files import place_beside, scale_file, told_of
 from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import cloud_name, read_poses
@@ -96,7 +96,7 @@ class ExchangeSource(OneFileSource):
             scale_file(alone, out, scale)
             alone.unlink()
         else:
-            scale_file(self.path, out, scale)
+            self.notes.extend(informing(told_of(self.path, scale_file(self.path, out, scale))))
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         return _read(out)[0]

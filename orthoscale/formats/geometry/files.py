@@ -36,6 +36,7 @@ ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
     **dict.fromkeys(POINTS, scale_points),
     **dict.fromkeys(SUFFIXES, scale_text_model),
 }
+WITH = "with "  # beginning of a note on a file that was written beside
 WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".glb": scale_glb, ".gltf": scale_gltf}
 
 
@@ -87,9 +88,14 @@ def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | 
             shutil.copyfile(path, place)
     for path in scaled.there:
         if others.take(place := _beside(path, source, target), path):
-            scale_ply(path, place, scale)
+            notes = [*notes, *(f"{path.name}: {note}" for note in scale_ply(path, place, scale).notes)]
     absent = [f"refers to {shown(name)}, which is not beside it" for name in (*copied.absent, *scaled.absent)]
-    return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + copied.notes + notes
+    return [f"{WITH}{path.name}" for path in (*copied.there, *scaled.there)] + absent + copied.notes + notes
+
+
+def told_of(source: Path, notes: list[str]) -> list[str]:
+    """The `notes` of `scale_file` for readers to whom `source` is one of many files: what is good to know of it."""
+    return [f"{source.name}: {note}" for note in notes if not note.startswith(WITH)]
 
 
 def place_beside(path: Path, source: Path) -> Path:
@@ -108,16 +114,16 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
     return out
 
 
-def reason_left(source: Path, target: Path, scale: float) -> str:
+def reason_left(source: Path, target: Path, scale: float, notes: list[str]) -> str:
     """Write one file in metres and return ''; or return why that is impossible (unknown format, in metres already).
-    Raises InputError for a damaged file."""
+    notes : gets what must be said of a file that was written. Raises InputError for a damaged file."""
     suffix = source.suffix.lower()
     if suffix not in {*WITH_OTHERS, *ONE_FILE}:
         return _unknown(source)
     # Logs of other programs may end in .out, too.
     left = (UsageError, InputError) if suffix == BUNDLER else UsageError
     try:
-        scale_file(source, target, scale)
+        notes += told_of(source, scale_file(source, target, scale))
     except left as error:
         target.unlink(missing_ok=True)
         return error.message

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ...errors import InputError, UsageError
+from ...errors import InputError, UsageError, shown
 from ..reading import EXPORT_ANEW
 from .mark import MARK, refuse_marked
+from .properties import left_as_they_are
 
 # Offsets in the header [bytes].
 SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, HEADER_LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
@@ -20,11 +21,17 @@ LEAST_HEADER = 227  # [bytes] smallest size of a header
 DOUBLES = 12  # numbers from HEADER_LENGTHS on: factors and offsets by axis, then largest and smallest coordinates
 WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
 PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
+SPECIFICATION, EXTRA = b"LASF_Spec", 4  # the record that describes the numbers that points have besides the usual ones
+EXTRA_NUMBER = "<2xBB32s"  # type, options and name of such a number, at the beginning of EXTRA_SIZE bytes
+EXTRA_SIZE = 192
+FLOATS, WITH_FACTOR = (9, 10, 19, 20, 29, 30), 8  # types of decimal numbers; the option that a factor makes them such
+MOST_RECORD = 65_535  # [bytes] of a record that are read: all that one before the points may have
 
 
-def scale_las(source: Path, target: Path, scale: float) -> None:
-    """Write the LAS or LAZ file `source` to `target` in metres. Raises InputError; UsageError for one that is in metres
-    already, or georeferenced."""
+def scale_las(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the LAS or LAZ file `source` to `target` in metres; returns notes for the user. Raises InputError;
+    UsageError for one that is in metres already, or georeferenced."""
+    extra: list[str] = []
     with source.open("rb") as file:
         head = bytearray(file.read(LEAST_HEADER))
         if len(head) < LEAST_HEADER or head[:4] != b"LASF":
@@ -42,6 +49,8 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
                     f"{source} is georeferenced, and so not in the model's units",
                     "Give the cloud as it was before georeferencing; if its reference is wrong, remove that first.",
                 )
+            if user == SPECIFICATION and record == EXTRA:
+                extra += _extra_decimals(content)
         lengths = struct.unpack_from(f"<{DOUBLES}d", head, HEADER_LENGTHS)
         struct.pack_into(f"<{DOUBLES}d", head, HEADER_LENGTHS, *(value * scale for value in lengths))
         struct.pack_into("<32s", head, SOFTWARE, f"{MARK}: metres".encode())
@@ -49,6 +58,17 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
         with target.open("wb") as out:
             out.write(head)
             shutil.copyfileobj(file, out, 1 << 20)
+    return left_as_they_are(extra, scale)
+
+
+def _extra_decimals(content: bytes) -> list[str]:
+    """Names of the extra numbers of a point that are no whole ones: those are in a unit of their own."""
+    names = []
+    for start in range(0, len(content) - EXTRA_SIZE + 1, EXTRA_SIZE):
+        kind, options, name = struct.unpack_from(EXTRA_NUMBER, content, start)
+        if kind in FLOATS or (kind and options & WITH_FACTOR):  # the options of undescribed bytes (0) are their number
+            names.append(shown(name.split(b"\0")[0].decode("latin-1").strip()) or "nameless")
+    return names
 
 
 def _records(path: Path, file: BinaryIO, head: bytes) -> Iterator[tuple[bytes, int, bytes]]:
@@ -72,5 +92,5 @@ def _walk(
         if len(record) < struct.calcsize(form):
             raise InputError(f"{path}: {size} bytes, but its header has records beyond its end", EXPORT_ANEW)
         _, user, number, length = struct.unpack(form, record)
-        yield user.rstrip(b"\0"), number, file.read(min(length, 64))
+        yield user.rstrip(b"\0"), number, file.read(min(length, MOST_RECORD))
         start += len(record) + length

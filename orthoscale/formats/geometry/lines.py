@@ -13,25 +13,29 @@ from typing import BinaryIO
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW
+from .properties import left_as_they_are
 from .words import grown
 
 POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
 COMMENTS = (b"#", b"//")
+AXES = ("x", "y", "z")  # the columns that are scaled
 SURELY = 5  # points after which a first column that counts is not taken for coordinates
 OFF_HEAD = re.compile(rb"(ST)?C?N?(4?n?)OFF(\s+BINARY)?\s*")
 
 
-def scale_points(source: Path, target: Path, scale: float) -> None:
-    """Write the points in `source`, one per line, to `target` in metres. Their coordinates are the first three numbers
-    of a line, or the columns x, y and z of a header line. Raises InputError, also if the first column seems to number
-    the points."""
+def scale_points(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the points in `source`, one per line, to `target` in metres; returns notes for the user. Their coordinates
+    are the first three numbers of a line, or the columns x, y and z of a header line. Raises InputError, also if the
+    first column seems to number the points."""
     columns, count, numbered = [0, 1, 2], 0, True
+    names: list[str] = []
     separator: bytes | None = None
     with source.open("rb") as file, target.open("wb") as out:
         for number, line in enumerate(file, 1):
             words, between = _words(line, separator)
-            if count == 0 and words and (named := _named(words)):
-                columns, separator, numbered = named, between, False
+            if count == 0 and words and set(AXES) <= set(named := _named(words)):
+                names, separator, numbered = named, between, False
+                columns = [names.index(axis) for axis in AXES]
                 out.write(line)
             elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
                 out.write(line)  # PTS counts its points
@@ -47,6 +51,7 @@ def scale_points(source: Path, target: Path, scale: float) -> None:
                 out.write(_scaled(f"{source}, line {number}", words, columns, scale, separator))
     if not count:
         raise InputError(f"{source}: no points in it", EXPORT_ANEW)
+    return left_as_they_are([name for name in names if name not in AXES], scale)
 
 
 def scale_off(source: Path, target: Path, scale: float) -> None:
@@ -104,11 +109,10 @@ def _words(line: bytes, separator: bytes | None) -> tuple[list[bytes], bytes | N
     return words, None
 
 
-def _named(words: Sequence[bytes]) -> list[int]:
-    """Which columns are called x, y and z; empty if `words` is no header line with these names."""
-    names = [word.strip(b'"/# \t').lower() for word in words]
-    names = [name for name in names if name] if words[0].strip() in COMMENTS else names
-    return [names.index(axis) for axis in (b"x", b"y", b"z")] if {b"x", b"y", b"z"} <= set(names) else []
+def _named(words: Sequence[bytes]) -> list[str]:
+    """The names of columns, in lower case, if `words` is a line of them."""
+    names = [word.strip(b'"/# \t').lower().decode("latin-1") for word in words]
+    return [name for name in names if name] if words[0].strip() in COMMENTS else names
 
 
 def _is_numbered(words: Sequence[bytes], count: int) -> bool:

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 # Colours, normals, texture coordinates, times, counts, and what splats and scanners add, by the names that MeshLab,
 # CloudCompare, PCL, Metashape, COLMAP and Gaussian splatting write. `curvature` of PCL is a ratio of variances.
 NO_LENGTH = re.compile(
-    r"(diffuse_|ambient_|specular_)?(red|green|blue|alpha)|[rgba]|rgba?|n[xyz]|normal_[xyz]|[stuv]|(texture_)?[uv]"
+    r"(diffuse_|ambient_|specular_)?(red|green|blue|alpha)|[rgba]f?|rgba?|n[xyz]|normal_?[xyz]|[stuv]|(texture_)?[uv]"
     r"|f_dc_\d+|f_rest_\d+|opacity|rot_\d+|scale_\d+|intensity|reflectivity|reflectance|ambient|confidence|curvature|ring"
     r"|label|class|classification|(scalar_)?(class(ification)?|label|intensity|confidence|(gps)?time|psz)|(gps_?)?time"
-    r"|time_?stamp|t|views|visibility|_\d*",
+    r"|time_?stamp|t|views|visibility|(point_?)?(id|index|number)|_\d*",
     re.IGNORECASE,
 )
 NAMED = 4  # greatest number of names in a note
