@@ -17,7 +17,7 @@ import pytest
 from support.in_process import run
 from support.reports import car_park
 
-from orthoscale.cli.main import main
+from orthoscale.cli.main import COMMANDS, main
 from orthoscale.sources.cameras import SCALED_MARK
 from orthoscale.sources.colmap import scale_model
 
@@ -182,11 +182,15 @@ def test_debug_shows_the_traceback_as_well(tmp_path):
     assert done.returncode == 5 and "Traceback" in done.stderr and "does not exist" in done.stderr
 
 
-def test_help_has_examples_and_exit_codes():
-    for command in ([], ["fix"], ["estimate"]):
-        shown = run(*command, "--help").stdout
-        assert "orthoscale estimate" in shown or "orthoscale fix" in shown
-        assert "Exit codes" in shown
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_has_examples_and_exit_codes(command):
+    """Those that the command can end with: `apply` measures nothing, and only `fix` has --force."""
+    shown = run(*command.split(), "--help").stdout
+    assert "orthoscale estimate" in shown or f"  orthoscale {command} " in shown
+    codes = shown[shown.index("  Exit codes: ") :]
+    assert all(f"{code} " in codes for code in (0, 2, 5, 6)) and all(len(line) <= 80 for line in codes.splitlines())
+    assert ("--force" in codes) == (command in ("", "fix"))
+    assert ("3 " in codes) == (command not in ("apply", "explain", "layout", "report"))
 
 
 def test_fleets_are_listed():

@@ -673,7 +673,7 @@ def test_a_scale_of_no_use_says_what_was_not_tried_yet(tmp_path, named):
             replace(result, measured=useless, settings=settings, zoom_choice=searched).require_useful()
         assert ("--fleet" in caught.value.hint) == (not named)
         assert ("--gsd-hint METRES_PER_PIXEL" in caught.value.hint) == (searched is not None)
-        assert caught.value.hint[0].isupper() and "--force" in caught.value.hint
+        assert caught.value.hint[0].isupper() and "`orthoscale fix --force`" in caught.value.hint  # `estimate` has none
     claimed = SimpleNamespace(gsd_m=0.0967, usable=True)
     source = SimpleNamespace(path="a.tif", plan=True, notes=[], claimed=claimed)
     with pytest.raises(TooLittleEvidence) as caught:

@@ -11,7 +11,7 @@ from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -28,7 +28,7 @@ from .options import (
 @command(
     epilog="\b\nExamples:\n  orthoscale anchors ortho.tif --fleet DE\n"
     "  orthoscale anchors ortho.tif --fleet DE --out anchors.png\n"
-    "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out found/\n\n" + EXIT_CODES
+    "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out found/\n\n" + MEASURING
 )
 @click.argument("path", metavar="INPUT", type=PATH)
 @options_of(EstimateRequest)

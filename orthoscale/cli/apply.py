@@ -8,13 +8,13 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..system.printing import echo
-from .options import EXIT_CODES, PATH, command, debug_option, json_option, option, overwrite_option, say
+from .options import CONVERTING, PATH, command, debug_option, json_option, option, overwrite_option, say
 
 
 @command(
     epilog="\b\nExamples:\n  orthoscale apply scaled/sim3.json splat.ply mesh.glb --out metric/\n"
     "  orthoscale apply scaled/sim3.json nerf/transforms.json --out nerf_metric/\n"
-    "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + EXIT_CODES
+    "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + CONVERTING
 )
 @click.argument("sim3", metavar="SIM3", type=PATH)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)

@@ -11,7 +11,7 @@ from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -31,7 +31,7 @@ NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 @command(
     epilog="\b\nExamples:\n  orthoscale calibrate survey.tif --fleet DE --out ruler.json\n"
     "  orthoscale calibrate ortho.jpg --gsd 0.0967 --fleet PH \\\n      --detector yolo11n-obb.onnx --out yolo.json\n"
-    "  orthoscale fix other.tif --calibration ruler.json --fleet DE --out new.tif\n\n" + EXIT_CODES
+    "  orthoscale fix other.tif --calibration ruler.json --fleet DE --out new.tif\n\n" + MEASURING
 )
 @click.argument("path", metavar="ORTHO", type=PATH)
 @option("--gsd", type=float, metavar="M", group="Input", help="True GSD in m/px; by default the georeferencing's.")

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
     "3 too little evidence; 4 disagrees by more than three sigma (--model: 2.6),\n"
-    "or the evidence contradicts itself; 5 input unreadable or damaged."
+    "or the evidence contradicts itself; 5 input unreadable or damaged;\n"
+    "6 output could not be written."
 )
 @inputs
 @options_of(EstimateRequest)

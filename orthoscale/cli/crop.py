@@ -11,7 +11,7 @@ from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -29,7 +29,7 @@ from .photo_options import LENS_FLAGS, lens_options
     epilog="\b\nExamples:\n"
     "  orthoscale crop a.jpg --satellite sat.tif --at 8.54,47.38 \\\n      --radius 400 --out crops/\n"
     "  orthoscale crop a.jpg --satellite sat.tif --square --size 384 --out crops/\n"
-    "  orthoscale crop a.jpg --satellite sat.tif --gsd 0.08 \\\n      --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
+    "  orthoscale crop a.jpg --satellite sat.tif --gsd 0.08 \\\n      --at 8.54,47.38 --out crops/\n\n" + MEASURING
 )
 @click.argument("path", metavar="PHOTO", type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")

@@ -13,7 +13,7 @@ from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n"
     "  orthoscale evaluate photos.csv --depth-folder depth/ --depth-factor da3\n"
     "  orthoscale evaluate DenseUAV/test/query_drone --fleet CN --locate \\\n"
-    "      --satellite city.tif --scale-errors -.5,...,.5\n\n" + EXIT_CODES
+    "      --satellite city.tif --scale-errors -.5,...,.5\n\n" + MEASURING
 )
 @click.argument("path", metavar="DATASET", type=PATH)
 @option(

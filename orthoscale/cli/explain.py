@@ -8,12 +8,12 @@ import click
 
 from ..formats.names import json_in_utf8
 from ..system.printing import echo
-from .options import PATH, command, debug_option, json_option
+from .options import CONVERTING, PATH, command, debug_option, json_option
 
 
 @command(
     epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
-    "  orthoscale estimate ortho.tif --fleet DE --json > report.json\n  orthoscale explain report.json"
+    "  orthoscale estimate ortho.tif --fleet DE --json > report.json\n  orthoscale explain report.json\n\n" + CONVERTING
 )
 @click.argument("report", metavar="REPORT", type=PATH)
 @json_option("the explanation")

@@ -23,6 +23,10 @@ Examples:
   orthoscale fleets --json      for machines
   orthoscale fleets --registrations district.csv --out district.json
   orthoscale fix ortho.tif --fleet district.json --out scaled.tif
+
+\b
+Exit codes: 0 done; 2 usage; 3 a register of mostly unknown models;
+5 input unreadable or damaged; 6 output could not be written.
 """
 MOST_UNKNOWN = 10  # most models of unknown size that are listed
 

@@ -10,7 +10,7 @@ import click
 from ..formats.names import json_in_utf8
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    CONVERTING,
     PATH,
     command,
     debug_option,
@@ -29,7 +29,7 @@ from .options import (
     "  orthoscale layout scaled.tif --lot lot.gpkg --avoid trees.gpkg \\\n"
     "      --facility parking-DE:24 --facility basketball --out layout/\n"
     "  orthoscale layout scaled.tif --lot lot.gpkg --facility pool25@120,80,90 \\\n      --out layout/\n"
-    "  orthoscale layout --list\n\n" + EXIT_CODES
+    "  orthoscale layout --list\n\n" + CONVERTING
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)
 @option("--lot", type=PATH, group="Input", help="Polygon to build on: GeoJSON, GeoPackage, Shapefile ...")

@@ -11,7 +11,7 @@ from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -31,7 +31,7 @@ from .photo_options import lens_options
     "  orthoscale locate flight/ --satellite city.tif --gsd 0.08 --out found/ \\\n"
     "      --prior 8.54,47.38,1500\n"
     "  orthoscale locate a.jpg --satellite city.tif --heading search --out found/\n\n"
-    + EXIT_CODES.replace("(nothing written)", "(only candidates written)")
+    + MEASURING.replace("too little evidence", "not located").replace("evidence disagrees", "two places fit")
 )
 @click.argument("paths", metavar="PHOTO...", nargs=-1, required=True, type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced map: satellite or orthophoto.")

@@ -21,6 +21,17 @@ EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 4 evidence disagrees (`fix` writes nothing without --force);
 5 input unreadable or damaged; 6 output could not be written."""
+"""Those of `fix`, and of the commands together."""
+
+MEASURING = """\b
+Exit codes: 0 done; 2 usage; 3 too little evidence; 4 evidence disagrees;
+5 input unreadable or damaged; 6 output could not be written."""
+"""Those of other commands that measure vehicles."""
+
+CONVERTING = """\b
+Exit codes: 0 done; 2 usage; 5 input unreadable or damaged;
+6 output could not be written."""
+"""Those of commands that measure nothing."""
 
 
 class GroupedOption(click.Option):

@@ -12,7 +12,7 @@ from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
 from ..system.printing import echo
 from .options import (
-    EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     "  orthoscale photo flight/ --fleet US --out flight.csv --out flight.gpkg\n"
     "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
     "  orthoscale photo flight/ --together       one altitude from all photos\n"
-    "  orthoscale photo DJI_0021.JPG --depth DJI_0021.npy --depth-factor da3\n\n" + EXIT_CODES
+    "  orthoscale photo DJI_0021.JPG --depth DJI_0021.npy --depth-factor da3\n\n" + MEASURING
 )
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
 @options_of(PhotoRequest)

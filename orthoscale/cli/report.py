@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..system.printing import echo
-from .options import EXIT_CODES, PATH, command, debug_option, memory_option, option, overwrite_option, say
+from .options import CONVERTING, PATH, command, debug_option, memory_option, option, overwrite_option, say
 
 
 def _print_schema(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
@@ -22,7 +22,7 @@ def _print_schema(context: click.Context, parameter: click.Parameter, asked: boo
 @command(
     epilog="\b\nExamples:\n  orthoscale report scaled.tif.json\n"
     "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json\n  orthoscale report estimate.json\n\n"
-    + EXIT_CODES
+    + CONVERTING
 )
 @click.argument("path", metavar="REPORT.json", type=PATH)
 @option(

@@ -15,6 +15,7 @@ from ..system.printing import echo
 from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
 from .options import (
     EXIT_CODES,
+    MEASURING,
     PATH,
     command,
     debug_option,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n"
     "  orthoscale estimate sparse/0 --images frames/ --ground-cloud fused.ply\n"
-    "  orthoscale estimate 'surveys/*.tif' --fleet DE --summary scales.csv\n\n" + EXIT_CODES
+    "  orthoscale estimate 'surveys/*.tif' --fleet DE --summary scales.csv\n\n" + MEASURING
 )
 @inputs
 @options_of(EstimateRequest)

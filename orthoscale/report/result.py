@@ -133,5 +133,5 @@ class Result(MeasuredSource, Brief):
             told = claimed is not None and claimed.gsd_m is not None and claimed.usable and self.source.plan is not None
             size = f"{claimed.gsd_m:.3g}, as its georeferencing claims" if claimed and told else "METRES_PER_PIXEL"
             cures.append(f"say roughly how large a pixel is (--gsd-hint {size})")
-        text = ", ".join([*cures, "give a scene with more vehicles", "or write anyway with --force."])
+        text = ", ".join([*cures, "give a scene with more vehicles", f"or {FORCED}"])
         return text[0].upper() + text[1:]

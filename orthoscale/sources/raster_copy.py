@@ -114,7 +114,7 @@ class Original:
     @property
     def sizes_told(self) -> list[str]:
         """Those of its metadata that come along and may tell its former scale, as "NAME=VALUE"."""
-        told = {}
+        told: dict[str, str] = {}
         for band in (0, *self.dataset.indexes):
             for domain in (None, *_others(self.dataset, band)):
                 told |= self.dataset.tags(band, ns=domain)

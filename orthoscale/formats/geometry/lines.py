@@ -18,7 +18,7 @@ from .words import grown
 
 POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
 COMMENTS = (b"#", b"//")
-AXES = ("x", "y", "z")  # the columns that are scaled
+COORDINATES = ("x", "y", "z")  # the columns that are scaled
 SURELY = 5  # points after which a first column that counts is not taken for coordinates
 OFF_HEAD = re.compile(rb"(ST)?C?N?(4?n?)OFF(\s+BINARY)?\s*")
 
@@ -33,9 +33,9 @@ def scale_points(source: Path, target: Path, scale: float) -> list[str]:
     with source.open("rb") as file, target.open("wb") as out:
         for number, line in enumerate(file, 1):
             words, between = _words(line, separator)
-            if count == 0 and words and set(AXES) <= set(named := _named(words)):
+            if count == 0 and words and set(COORDINATES) <= set(named := _named(words)):
                 names, separator, numbered = named, between, False
-                columns = [names.index(axis) for axis in AXES]
+                columns = [names.index(axis) for axis in COORDINATES]
                 out.write(line)
             elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
                 out.write(line)  # PTS counts its points
@@ -51,7 +51,7 @@ def scale_points(source: Path, target: Path, scale: float) -> list[str]:
                 out.write(_scaled(f"{source}, line {number}", words, columns, scale, separator))
     if not count:
         raise InputError(f"{source}: no points in it", EXPORT_ANEW)
-    return left_as_they_are([name for name in names if name not in AXES], scale)
+    return left_as_they_are([name for name in names if name not in COORDINATES], scale)
 
 
 def scale_off(source: Path, target: Path, scale: float) -> None:
