@@ -630,6 +630,21 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp_path):
+    """A copy without its frames or depth maps, which may lie on another disk, seemed to be whole."""
+    source = dense_workspace(tmp_path / "dense")
+    (source / "stereo").rename(tmp_path / "elsewhere")
+    (source / "stereo").symlink_to(tmp_path / "elsewhere")
+    (source / "gone.ply").symlink_to(tmp_path / "nowhere.ply")
+    (source / "linked.ply").symlink_to(source / "fused.ply")
+    os.mkfifo(source / "pipe.ply")
+    (tmp_path / "out").mkdir()
+    said = scale_path(source, tmp_path / "out", SCALE)[-1]
+    assert said.endswith(": gone.ply, pipe.ply, stereo") and "links to folders are not followed" in said
+    assert (tmp_path / "out" / "linked.ply").is_file() and not (tmp_path / "out" / "stereo").exists()
+
+
 @pytest.mark.parametrize(("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF")])
 def test_pictures_that_may_be_depth_maps_are_not_copied_unscaled(tmp_path, mode, ending):
     """A depth map as TIFF or PNG was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""

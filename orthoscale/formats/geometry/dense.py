@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -109,4 +110,18 @@ def scale_dense(
     notes = [f"{source}: {scaled} depth maps, clouds and meshes converted to metres too"]
     if left:
         notes.append(f"left in {source}, because not in metres: {first_few(left, MOST_LEFT_NAMED)}")
+    if passed := sorted(_passed_over(source)):
+        what = "because links to folders are not followed, nor links to nothing and pipes read"
+        notes.append(f"left in {source}, {what}: {first_few(passed, MOST_LEFT_NAMED)}")
     return notes
+
+
+def _passed_over(dense: Path) -> Iterator[str]:
+    """What `files_below` does not give of the workspace `dense`: links to folders or to nothing, pipes. Those among the
+    sparse models are left out."""
+    for root, folders, names in os.walk(dense):
+        for path in (Path(root, name) for name in (*folders, *names)):
+            place = path.relative_to(dense)
+            ordinary = path.is_file() or (path.is_dir() and not path.is_symlink())
+            if not ordinary and place.parts[0] != "sparse":
+                yield str(place)
