@@ -472,6 +472,26 @@ def test_a_name_that_is_not_utf_8_is_to_be_changed(tmp_path):
     assert caught.value.hint == "Rename it."
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
+def test_a_folder_that_is_not_utf_8_is_refused_before_measuring(tmp_path, monkeypatch):
+    """A copy there failed when it was written: its temporary name is an absolute one."""
+    (folder := tmp_path / os.fsdecode(b"\xff")).mkdir()
+    monkeypatch.chdir(folder)
+    with pytest.raises(UsageError, match="a.tif: GDAL takes names in UTF-8 only, of files and of folders"):
+        RasterSource.check_name(Path("a.tif"))
+
+
+def test_names_of_a_system_that_is_not_in_utf_8(tmp_path, monkeypatch):
+    """In ISO-8859-1 GDAL does not find what Python does: it said that the file, or space, was missing."""
+    monkeypatch.setattr(os, "fsencode", lambda path: str(path).encode("latin-1"))
+    RasterSource.check_name(tmp_path / "massstab.tif")
+    with pytest.raises(UsageError, match="UTF-8"):
+        RasterSource.check_name(tmp_path / "maßstab.tif")
+    (tmp_path / "maßstab.png").write_bytes(b"\x89PNG")
+    with pytest.raises(InputError, match="UTF-8"):
+        RasterSource.open(tmp_path / "maßstab.png")
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
     path = make(tmp_path / "a.tif", compress="deflate", blockysize=10)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import os
 import re
 import stat
 import warnings
@@ -45,6 +46,7 @@ _SERVED = frozenset(
         "STACIT", "STACTA", "TileDB", "WCS", "WFS", "WMS", "WMTS", "Zarr",
     ]
 )  # fmt: skip
+IN_UTF8 = "GDAL takes names in UTF-8 only, of files and of folders"
 EXPORT_AGAIN = "Export or download it again; its transfer may have been cut off."
 _LONGEST_VRT = 2**28  # [byte] of a VRT's text that is searched
 GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, UnicodeError)  # the last since its texts must be UTF-8
@@ -124,15 +126,24 @@ def guarded(**options: Any) -> Iterator[None]:
         yield
 
 
+def can_find(path: Path) -> bool:
+    """Whether GDAL finds the file at `path`: it takes names in UTF-8, even where the system's are in another encoding,
+    such as ISO-8859-1."""
+    try:
+        return os.fsencode(path) == str(path).encode()
+    except UnicodeEncodeError:
+        return False
+
+
 @contextmanager
 def reading(path: Path, what: str, hint: str) -> Iterator[None]:
     """`guarded`; an error of GDAL becomes ``InputError(path what (reason), hint)``."""
     try:
         with guarded():
             yield
-    except UnicodeEncodeError as error:
-        raise InputError(f"{path}: GDAL takes names in UTF-8 only", "Rename it.") from error
     except GDAL_ERRORS as error:
+        if not can_find(path):
+            raise InputError(f"{path}: {IN_UTF8}", "Rename it.") from error
         raise InputError(f"{path} {what} ({reason(error)})", hint) from error
 
 

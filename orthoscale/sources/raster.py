@@ -29,7 +29,7 @@ from ..formats.reading import absent
 from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import Stamp, another, fingerprint, require_unchanged
-from .gdal import EXPORT_AGAIN, open_dataset, projection_file, reading, settings
+from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
 from .raster_copy import SCALE_TAG, Original
@@ -147,10 +147,8 @@ class RasterSource:
         """Raise UsageError for a name that `write` would refuse."""
         if out.suffix.lower() not in (".tif", ".tiff"):
             raise UsageError(f"{out.name} would be a GeoTIFF", "Choose a name that ends in .tif.")
-        try:
-            str(out).encode()
-        except UnicodeEncodeError as error:
-            raise UsageError(f"{out}: GDAL takes names in UTF-8 only", "Choose another name.") from error
+        if not can_find(out.absolute()):  # as its temporary name is
+            raise UsageError(f"{out}: {IN_UTF8}", "Choose another place.")
 
     @property
     def pictures(self) -> list[Picture]:
