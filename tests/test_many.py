@@ -449,6 +449,32 @@ def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.slow
+def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, monkeypatch):
+    """Those of processes whose answers had not come yet: "nothing was written" was said of them."""
+    program = (
+        "import signal; from orthoscale.actions import many\n"
+        "whole = many.one\n"
+        "many.one = lambda job: (whole(job), signal.pause() if 'b.png' in job['input'] else None)[0]\n"
+        "many.serve()"
+    )
+    popen = many.subprocess.Popen
+    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    monkeypatch.setattr(many.stopping, "written", [])
+    out = tmp_path / "out"
+
+    def stop(row):
+        until = time.monotonic() + 60
+        while not (out / "b.tif").exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+
+    request = FixRequest(fleet="DE", detections=parks / "boxes.json")
+    with pytest.raises(KeyboardInterrupt):
+        many.run_many("fix", Named([parks / "pictures/*.png"]).inputs, request, out, 1, stop)
+    assert many.stopping.written == [str(out / "a.tif"), str(out / "b.tif")]
+
+
 def test_what_speaks_of_one_input_is_refused(parks):
     pictures, one = parks / "pictures", parks / "pictures/a.png"
     for path, why, *more in (

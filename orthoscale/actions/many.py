@@ -216,11 +216,16 @@ def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
         try:
             futures = {pool.submit(give, job): k for k, job in enumerate(todo)}
             for future in as_completed(futures):
-                yield futures[future], future.result()
+                yield futures.pop(future), future.result()
         finally:
             with stopping.held():  # a second signal must not leave any of them running
                 for child in children:
                     child.end()
+                # A copy that was in place before its process ended is there: the user is told so.
+                outputs = [future.result()["output"] for future in futures]
+                stopping.written.extend(output for output in outputs if output is not None)
+                for child in children:
+                    child.close()
 
 
 class _Child:
@@ -254,6 +259,9 @@ class _Child:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             self._process.wait()
+
+    def close(self) -> None:
+        """Close the pipes of a process that has ended, after its last answer was read."""
         for pipe in (self._process.stdin, self._process.stdout) if self._process is not None else ():
             with suppress(OSError):
                 pipe.close()  # type: ignore[union-attr]
@@ -306,7 +314,13 @@ def serve() -> None:
         while True:
             head, _ = receive(requests)
             logging.getLogger("orthoscale").setLevel(head["log"])
-            send(answers, _one_within(head["memory"], head["job"]))
+            try:
+                row = _one_within(head["memory"], job := head["job"])
+            except KeyboardInterrupt:
+                there = job["out"] if job["out"] in stopping.written else None
+                send(answers, {**_died(job, "was stopped"), "output": there})
+                raise
+            send(answers, row)
 
 
 if __name__ == "__main__":
