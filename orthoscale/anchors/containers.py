@@ -111,7 +111,7 @@ class ContainerRows:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        if image.ndim != 3 or min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
+        if min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
             return []
         colours = cv2.GaussianBlur(image, (0, 0), 0.5).astype(np.float32)
         standards = [s for s in self.standards if not s.countries or country in s.countries]
