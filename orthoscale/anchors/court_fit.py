@@ -337,7 +337,7 @@ def fit_court(
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
     light, grey = (np.ascontiguousarray(each[corner[1] : upper[1], corner[0] : upper[0]]) for each in (light, grey))
-    if min(light.shape) < 8:
+    if not light.size:  # OpenCV would sample memory beyond it
         return None
     pose = np.array([*(place - corner), angle, size, size])
     for window in WINDOWS:
