@@ -73,7 +73,7 @@ def ground_control(
         rest = 1 - (np.linalg.norm(first.T @ second, "nuc") / spread[0] / spread[1]) ** 2
         sd = max(sd, float(np.sqrt(max(rest, 0.0) / freedom) * stdtrit(freedom, 0.95)) / Z90)
     else:
-        says.append(f"assumed good to {CONTROL_SD:g} m")
+        says.append(f"assumed good to {CONTROL_SD:g} m, as two do not check each other")
     if level_sd:
         says.append("the ground assumed level")
     sd = float(np.hypot(sd, level_sd))
