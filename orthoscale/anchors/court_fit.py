@@ -53,7 +53,6 @@ ROUNDING = 0.1  # [grey levels] of noise at least
 FEWEST_PIECES = 12  # number of pieces on ridges that a fit needs
 HOPELESS = 0.45  # least share of pieces on ridges after the first round: with less the fit is given up
 SAMPLES_PX = 0.8  # [px] between samples along a piece
-SEEN = 0.5  # share of a stroke's pieces on ridges from which the stroke is seen
 LEAST_SD = 0.01  # [m] least scatter of the ridges about a fit
 PRIOR_SD = 0.1  # [ln] one sigma by which a round may change the pixels per metre
 
