@@ -20,7 +20,7 @@ from orthoscale.anchors.rails import HEAD, RailTracks, Track
 from orthoscale.anchors.repeated import LOCAL_STRETCH
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import holding
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 
 FINDERS = (RailTracks(), RunningTracks(), TrackOvals(), Gridirons())
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach

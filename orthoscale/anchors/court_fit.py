@@ -8,7 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from .court_models import Court, Pieces
 from .peaks import peak_shift
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
-from ..core.pooling.posterior import ROBUST_SD, median_sd
+from ..core.normal import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from .evidence import BY_CONTROL, BY_DISTANCE, Evidence
-from .pooling.posterior import Z90, Posterior
+from .normal import Z90
+from .pooling.posterior import Posterior
 
 DISTANCE_SD = 0.01  # relative one sigma of a known distance without a given one: a tape, and points clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # limits of a known distance [m]: what can show in a picture

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import click
 
 from ..core.claims import own_claim
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
 from .result import Result

@@ -21,7 +21,7 @@ INTEGER_DEPTH = "integer_depth_scale"
 POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the last two for a rolling shutter
 # Other lengths: what bounds the part of the world that is rendered, and the velocity of a camera [units / s], for
 # rolling shutters and motion blur (3DGS with motion deblurring, Seiskari et al. 2024).
-LENGTHS = ("aabb", "near", "far", "camera_linear_velocity")
+OTHER_LENGTHS = ("aabb", "near", "far", "camera_linear_velocity")
 CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
 SPLAT_CAMERAS = "cameras.json"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
@@ -98,7 +98,7 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
         for name in (name for name in POSES if frame.get(name) is not None):
             frame[name] = _grown(frame[name], scale)
     for part in (text, *text["frames"]):
-        for name in (name for name in LENGTHS if name in part):
+        for name in (name for name in OTHER_LENGTHS if name in part):
             part[name] = _each(part[name], scale)
     if "applied_transform" in text:
         text["applied_transform"] = _grown(text["applied_transform"], scale)
