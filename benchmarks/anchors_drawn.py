@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoscale.anchors.kinds import finder
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 

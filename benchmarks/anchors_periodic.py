@@ -30,7 +30,7 @@ from orthoscale.anchors.rails import RailTracks
 from orthoscale.anchors.repeated import LOCAL_STRETCH
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import Anchor, AnchorFinder
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 

@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 from scipy.stats import beta
 
 import orthoscale
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 from orthoscale.errors import EvidenceDisagrees, OrthoscaleError, TooLittleEvidence
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

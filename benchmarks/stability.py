@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Votes

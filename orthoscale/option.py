@@ -15,7 +15,8 @@ from typing import Any
 
 from .errors import UsageError, shown
 
-GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
+# Of options in --help, in this order. "Main" has what most runs need: required options, --fleet and --out.
+GROUPS = ("Main", "Input", "Detector", "Evidence", "Output", "Advanced")
 
 
 @dataclass(frozen=True)

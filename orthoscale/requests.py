@@ -64,7 +64,7 @@ class VehicleRequest:
     fleet: str | Path | None = option(
         None,
         str,
-        "Input",
+        "Main",
         "Country of the vehicles, by code or name (US, DE, Japan ...); 'world' where it is not known; "
         "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
         is_file=_is_json,

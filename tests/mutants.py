@@ -310,7 +310,7 @@ MUTANTS = (
         "tests/test_one_model.py::test_the_evidence_is_that_of_a_mix_whose_only_class_is_the_model",
     ),
     Mutant(
-        "core/pooling/posterior.py",
+        "core/normal.py",
         "return np.where(count <= len(OF_FEW), few, np.pi / 2 / (count + more))",
         "return 1 / count",
         "tests/test_constants.py::test_the_variance_of_a_median_is_that_of_the_order_statistics",

@@ -154,6 +154,20 @@ def test_an_anchor_of_a_window_has_the_pictures_pixels():
         assert found.lines.reshape(-1, 2).mean(0) == pytest.approx([640.3, 455.9], abs=0.6)
 
 
+@pytest.mark.parametrize("kind", kinds.ANCHOR_KINDS)
+def test_in_a_picture_of_a_few_pixels_there_is_none(kind):
+    """Nor does a finder fail on it: pictures may be narrow, and the last windows of a picture, too."""
+    rng = np.random.default_rng(0)
+    for height, width in ((1, 1), (2, 3), (1, 300), (7, 8), (15, 60)):
+        grey = np.full((height, width, 3), 90, np.uint8)
+        striped = grey.copy()
+        striped[::4] = 230
+        for image in (grey, striped, rng.integers(0, 256, grey.shape, np.uint8)):
+            for turned in (image, np.ascontiguousarray(image.transpose(1, 0, 2))):
+                for gsd in (0.05, 0.3):
+                    assert list(kinds.finder(kind, {}).find(turned, gsd, 0.1, "US")) == []
+
+
 @pytest.mark.slow
 def test_what_overlapping_windows_show_counts_once_and_enough_is_enough(monkeypatch):
     monkeypatch.setattr("orthoscale.anchors.search.FIRST_WINDOWS", 3)  # of nine

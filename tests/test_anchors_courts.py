@@ -22,7 +22,7 @@ from support.courts import (
 )
 from support.pictures import ODD_PICTURES
 
-from orthoscale.anchors.court_fit import CourtFit
+from orthoscale.anchors.court_fit import CourtFit, fit_court
 from orthoscale.anchors.court_models import CENTRE_CIRCLE, HANDBALL_COURT, TENNIS_COURT
 from orthoscale.anchors.courts import (
     BASKETBALL,
@@ -293,6 +293,14 @@ def test_a_circle_without_a_halfway_line_is_none():
 @pytest.mark.parametrize("gsd", [0.05, 0.3, 0.55, 5.0])
 def test_an_odd_picture_has_no_court(picture, gsd):
     assert list(TENNIS.find(picture, gsd, 0.1, "US")) == []
+
+
+@pytest.mark.parametrize("place", [(-90.0, 60.0), (60.0, 230.0)])
+def test_a_court_beyond_the_picture_is_none(place, monkeypatch):
+    """And nothing is sampled there: of an empty picture OpenCV returns whatever lies in memory."""
+    monkeypatch.setattr("orthoscale.anchors.court_fit._measure", lambda *_: pytest.fail("sampled"))
+    grey = np.full((120, 120), 90, np.float32)
+    assert fit_court(grey, grey, TENNIS_COURT, np.array(place), 0.0, 1 / 0.3) is None
 
 
 @pytest.mark.real

@@ -20,7 +20,7 @@ from orthoscale.anchors.rails import HEAD, RailTracks, Track
 from orthoscale.anchors.repeated import LOCAL_STRETCH
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import holding
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 
 FINDERS = (RailTracks(), RunningTracks(), TrackOvals(), Gridirons())
 
@@ -122,6 +122,17 @@ def test_the_lanes_of_a_running_track(gsd, turn, middle):
     anchor = one(RunningTracks().find(running_track(gsd, 70, middle, turn), gsd * 1.06, 0.06, "DE"), 1.22)
     assert anchor.pixels * gsd == pytest.approx(1.22, rel=0.004)
     assert anchor.count == 9 and (anchor.false < 0.05) == (middle == (60, 20))  # the bend tells
+
+
+@pytest.mark.parametrize(
+    "lane, country, name",
+    ((1.25, "DE", "lanes of 1.25 m"), (1.22, "US", "lanes of 1.22 m, US"), (1.0668, "US", "lanes of 42 in")),
+)
+def test_lanes_of_other_rules(lane, country, name):
+    """To within their scale, which is not known well enough to tell rules from each other that are as near as these."""
+    anchor = one(RunningTracks().find(running_track(0.15, 70, (0, 40), lane=lane), 0.15, 0.06, country), lane)
+    assert anchor.pixels * 0.15 == pytest.approx(lane, rel=0.004)
+    assert name in {standard.name for standard in anchor.standards}
 
 
 def test_lanes_that_end_on_bright_ground_are_measured_by_their_lines():

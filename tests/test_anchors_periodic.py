@@ -14,7 +14,7 @@ from orthoscale.anchors.strokes import Strokes, near_pairs
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
 from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.core.anchors import Standard, holding
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
 

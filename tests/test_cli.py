@@ -5,6 +5,7 @@ import errno
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -325,6 +326,24 @@ def test_boxes_are_saved_where_they_give_no_scale(command, refused, code, tmp_pa
     assert again.returncode == 2 and "already exists" in again.stderr
 
 
+def test_of_boxes_that_nobody_measured_it_is_said_what_is_assumed(tmp_path):
+    car_park(tmp_path)
+    own = json.loads((tmp_path / "detections.json").read_text())
+    (tmp_path / "bare.json").write_text(json.dumps(own["pictures"]))
+    bare, measured = (
+        run("estimate", tmp_path / "park.png", "--fleet", "DE", "--detections", tmp_path / name).stdout
+        for name in ("bare.json", "detections.json")
+    )
+    note = "vehicles is not known: 0 +- 1.5 and 0 +- 1.2 detector pixels are assumed (orthoscale calibrate measures it)"
+    assert note in bare and "is not known" not in measured
+
+
+def test_likely_fleets_are_called_fleets(tmp_path):
+    car_park(tmp_path)
+    done = run("estimate", tmp_path / "park.png", "--fleet", "world", "--detections", tmp_path / "detections.json")
+    assert re.search(r"^likely +the vehicles' fleet is [A-Z]+ \d+ %, ", done.stdout, re.MULTILINE)
+
+
 def test_no_boxes_are_not_saved(tmp_path):
     car_park(tmp_path)
     (tmp_path / "none.json").write_text('{"park.png": []}')
@@ -338,7 +357,7 @@ def test_a_folder_is_no_place_for_the_copy_of_a_picture(more, tmp_path):
     car_park(tmp_path)
     (tmp_path / "out").mkdir()
     done = run("fix", tmp_path / "park.png", "--out", tmp_path / "out", *more)
-    assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "ends in .tif" in done.stderr
+    assert done.returncode == 2 and "written as GeoTIFF" in done.stderr and "end in .tif" in done.stderr
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from scipy.stats import norm
 
 import orthoscale
-from orthoscale.core.pooling.posterior import ROBUST_SD, Z90, median_sd, of_median
+from orthoscale.core.normal import ROBUST_SD, Z90, median_sd, of_median
 from orthoscale.core.round_numbers import round_above, round_below, scale_bar
 from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
@@ -79,11 +79,11 @@ def test_what_is_a_hair_less_than_a_power_of_ten_has_a_round_number_below(power)
 
 
 def test_the_normal_distributions_numbers_have_one_owner():
-    """1.4826 and 1.645, in whatever precision, are written nowhere but in core/pooling/posterior.py."""
+    """1.4826 and 1.645, in whatever precision, are written nowhere but in core/normal.py."""
     found = {
         f"{module}:{node.lineno}": node.value
         for module, tree in modules().items()
-        if module != "core/pooling/posterior.py"
+        if module != "core/normal.py"
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, float)
         and (1.48 <= node.value <= 1.483 or 1.64 <= node.value <= 1.65)

@@ -72,6 +72,19 @@ def test_every_option_stands_under_one_heading(name):
     assert headings == {**{each.opts[0]: 1 for each in options}, "--help": 1}
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_most_runs_need_comes_first(name):
+    """Required options, then --fleet and --out, where a command has them."""
+    command = cli.get_command(click.Context(cli), name)
+    options = [each for each in command.params if isinstance(each, click.Option)]
+    required = [each.opts[0] for each in options if each.required]
+    needed = set(required) | {"--fleet", "--out"} & {each.opts[0] for each in options}
+    _, *sections = re.split(rf"^(?:{'|'.join(GROUPS)}):$", help_of(name), flags=re.MULTILINE)
+    listed = re.findall(r"^  (?:-\w, )?(--[\w-]+)", "".join(sections), re.MULTILINE)
+    assert set(listed[: len(needed)]) == needed
+    assert listed[: len(required)] == required
+
+
 def anchors(page: Path) -> set[str]:
     """Of the headings of a page, as GitHub makes them."""
     titles = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)

@@ -13,7 +13,7 @@ from orthoscale.core.measuring import judgement
 from orthoscale.core.measuring.drift import FEWEST, Drift, drift, with_drift
 from orthoscale.core.measuring.surface import Cells, SurfaceFit
 from orthoscale.core.measuring.vehicles import VEHICLE, vehicle_table
-from orthoscale.core.pooling.posterior import Z90
+from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
 from orthoscale.core.ruler import Ruler

@@ -11,8 +11,9 @@ from orthoscale.core.control import ground_control, known_distance
 from orthoscale.core.evidence import BY_GPS, Evidence, combined
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
+from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.anchors import evidence_of
-from orthoscale.core.pooling.posterior import Z90, Posterior
+from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.formats.tables import known_objects
 
@@ -254,7 +255,7 @@ def test_two_control_points_are_as_good_as_is_assumed_of_them():
     pixels, metres = np.array([[0, 0], [60, 80.0]]), np.array([[0, 0], [6, 8.0]])
     found, exact = (ground_control(pixels, metres, read_sd) for read_sd in (0.5, 0.0))
     assert found.value == exact.value == pytest.approx(0.1)
-    assert exact.says == "ground control (2 points, assumed good to 0.05 m)"
+    assert exact.says == "ground control (2 points, assumed good to 0.05 m, as two do not check each other)"
     assert exact.relative_sd == pytest.approx(0.05 / np.sqrt(50))
     assert found.relative_sd == pytest.approx(np.hypot(0.05 / np.sqrt(50), 0.5 / np.sqrt(5000)))
 
@@ -335,7 +336,10 @@ def test_each_point_is_read_as_well_as_it_can_be():
 
 def test_two_points_have_no_residuals_and_that_is_said():
     ends = np.array([[0, 0], [100.0, 0], [0, 70]])
-    assert ground_control(ends[:2], ends[:2]).says == "ground control (2 points, assumed good to 0.05 m)"
+    assert (
+        ground_control(ends[:2], ends[:2]).says
+        == "ground control (2 points, assumed good to 0.05 m, as two do not check each other)"
+    )
     assert ground_control(ends, ends).says == "ground control (3 points)"
 
 

@@ -20,8 +20,8 @@ from orthoscale.core.evidence import BY_MAP, Evidence
 from orthoscale.core.measuring.anchors import FoundAnchors, votes_in_model
 from orthoscale.core.measuring.footing import BY_POINTS, GROUND_SD, Footing
 from orthoscale.core.measuring.surroundings import objects_in_model
+from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.anchors import evidence_of
-from orthoscale.core.pooling.posterior import Z90
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.formats.tables import standards
 from orthoscale.requests import EstimateRequest

@@ -18,7 +18,8 @@ from orthoscale.core.claims import metric_claim, perhaps_metric
 from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
-from orthoscale.core.pooling.posterior import Z90, Posterior
+from orthoscale.core.normal import Z90
+from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.detections.own import save_detections

@@ -19,6 +19,7 @@ from support.camera import simple_views
 from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_RULER
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
 from orthoscale.detect.detector import Passes
@@ -659,11 +660,12 @@ def test_a_name_that_is_not_utf_8_is_written_with_escapes(tmp_path, ending):
 
 @pytest.mark.parametrize("command", ["photo", "crop", "locate"])
 def test_what_is_to_be_said_of_the_boxes_is_said(tmp_path, flight, command):
-    """Boxes of photos that are not there, and boxes that repeat one vehicle."""
+    """Boxes of photos that are not there, boxes that repeat one vehicle, and boxes of a detector nobody measured."""
     folder, rules = flight
     boxes = boxes_in(view_from(-60))
     twice = Boxes.concatenate([boxes, boxes])
-    save_detections(detections_of({"a.jpg": twice, "elsewhere.jpg": boxes}), tmp_path / "boxes.json")
+    found = detections_of({"a.jpg": twice, "elsewhere.jpg": boxes})
+    save_detections(replace(found, ruler=UNKNOWN_RULER), tmp_path / "boxes.json")
     how = Looking(detections=rules[1], fleet=rules[3])
     if command == "photo":
         notes = survey_photos(folder / "a.jpg", **how.settings()).to_dict()["notes"]
@@ -674,6 +676,7 @@ def test_what_is_to_be_said_of_the_boxes_is_said(tmp_path, flight, command):
     said = "; ".join(notes)
     assert "1 of its pictures are not in this model, the first is elsewhere.jpg" in said
     assert f"{len(boxes)} of its {len(twice)} boxes repeat the vehicle of another" in said
+    assert "longer and wider than the vehicles is not known" in said
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):

@@ -504,7 +504,7 @@ def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):
     ]
     redraw(tmp_path / "old.json", tmp_path / "old.html")
     text = (tmp_path / "old.html").read_text()
-    assert "an earlier version wrote this report" in text and report["fit"] in text and "read as it is" in text
+    assert "an earlier version wrote this report" in text and report["fit"] in text and "<li>read as it is</li>" in text
     done = run("explain", tmp_path / "old.json")
     assert done.returncode == 0 and "boxes are odd" in done.stdout
 

@@ -734,11 +734,12 @@ def test_the_cameras_beside_a_splat_move_with_it(tmp_path):
 
 
 def test_all_lengths_of_instant_ngp_grow(tmp_path):
-    """Poses of a rolling shutter, the box and the depths that are looked at."""
+    """Poses and velocities of a rolling shutter, the box and the depths that are looked at."""
     pose = np.eye(4)
     pose[:3, 3] = (1, -2, 3)
     names = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")
     frame = {"file_path": "a.jpg", "near": 0.5, **dict.fromkeys(names, pose.tolist())}
+    frame |= {"camera_linear_velocity": [0.5, 0, -2], "camera_angular_velocity": [0.1, 0.2, 0.3]}
     still = {"file_path": "b.jpg", "transform_matrix": pose.tolist(), "transform_matrix_end": None}
     text = {
         "frames": [frame, still],
@@ -757,6 +758,8 @@ def test_all_lengths_of_instant_ngp_grow(tmp_path):
     assert np.allclose(new["aabb"], SCALE * np.array(text["aabb"]))
     assert (new["near"], new["far"], new["frames"][0]["near"]) == (SCALE, None, 0.5 * SCALE)
     assert (new["aabb_scale"], new["scale"]) == (16, 0.5)
+    assert new["frames"][0]["camera_linear_velocity"] == pytest.approx([0.5 * SCALE, 0, -2 * SCALE])
+    assert new["frames"][0]["camera_angular_velocity"] == frame["camera_angular_velocity"]
 
 
 def test_all_lengths_of_opensfm_grow(tmp_path):

@@ -15,7 +15,7 @@ from ..core.anchors import Anchor, AnchorVote, Standard
 from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.measuring.without_vehicles import FEWEST_KINDS
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source

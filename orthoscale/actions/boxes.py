@@ -53,6 +53,8 @@ def boxes_of(
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
         found = asked.calibration.applied(found, Path(str(request.calibration)))
+    if asked.source.plan is not None:  # the views of a model calibrate the ruler
+        found = replace(found, notes=(*found.notes, *found.assumed))
     return found, choice
 
 

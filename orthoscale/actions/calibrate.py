@@ -13,7 +13,7 @@ from ..core.boxes import SAME_VEHICLE, Boxes, matched
 from ..core.calibration import Calibration, MarginFit, fit_margin, local_fleet_entry
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from ..core.pooling.robust import pool
 from ..core.progress import Progress
 from ..core.projection.planar import ground_size

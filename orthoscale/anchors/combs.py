@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import ROBUST_SD, median_sd
+from ..core.normal import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach
@@ -111,7 +111,7 @@ class ContainerRows:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        if image.ndim != 3 or min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
+        if min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
             return []
         colours = cv2.GaussianBlur(image, (0, 0), 0.5).astype(np.float32)
         standards = [s for s in self.standards if not s.countries or country in s.countries]

@@ -8,7 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from .court_models import Court, Pieces
 from .peaks import peak_shift
 
@@ -53,7 +53,6 @@ ROUNDING = 0.1  # [grey levels] of noise at least
 FEWEST_PIECES = 12  # number of pieces on ridges that a fit needs
 HOPELESS = 0.45  # least share of pieces on ridges after the first round: with less the fit is given up
 SAMPLES_PX = 0.8  # [px] between samples along a piece
-SEEN = 0.5  # share of a stroke's pieces on ridges from which the stroke is seen
 LEAST_SD = 0.01  # [m] least scatter of the ridges about a fit
 PRIOR_SD = 0.1  # [ln] one sigma by which a round may change the pixels per metre
 
@@ -321,6 +320,8 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
         by = rows * robust[:, None]
         change = np.linalg.solve(by.T @ rows + held, by.T @ offset)
         left = np.abs(offset - rows @ change)
+        # Under these weights the mean of a normal distribution's residuals gives a scale of 0.91 sigma: the weights end
+        # at 2.7 sigma. A factor of 1.563 would give one sigma; it changed 252 courts on chips by 0.01 % (rms).
         scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), 0.02, width / 2))
     return change
 
@@ -337,7 +338,7 @@ def fit_court(
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
     light, grey = (np.ascontiguousarray(each[corner[1] : upper[1], corner[0] : upper[0]]) for each in (light, grey))
-    if min(light.shape) < 8:
+    if not light.size:  # OpenCV would sample memory beyond it
         return None
     pose = np.array([*(place - corner), angle, size, size])
     for window in WINDOWS:

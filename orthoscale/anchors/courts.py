@@ -31,7 +31,6 @@ from .rules import SIGMAS_SEARCHED
 
 SEARCHED = 0.3  # [m/px] of the search: a line of 5 cm is just seen, and a court is small
 ENLARGED = 2.0  # largest factor: a coarser picture is searched at a coarser resolution
-LEAST_SIDE_PX = 16  # [px] least shorter side of a picture
 SURE = 0.8  # share of a fit's paint that is seen, from which no other court is tried on it
 COURTS_OVERLAP = 0.95  # of both sides: courts with nearer centres overlap; the rest allows for errors of fits
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # paint hardly scatters by more than the first; evidence lost per unit of more
@@ -131,8 +130,6 @@ class CourtFinder:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
-        if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE_PX:
-            return []
         look = CourtLook(image, gsd, gsd_sd)
         fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]
         if fits:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard, holding
 from .combs import Block, Comb, comb_anchor, find_combs, pitch
-from .ridges import SEED_PX, lightness
+from .ridges import lightness
 from .rules import sizes, within_reach
 
 YARD = 0.9144  # [m]
@@ -41,8 +41,6 @@ class Gridirons:
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
         standards = holding(self.standards, country)
-        if min(image.shape[:2]) < 2 * SEED_PX:
-            return []
         comb = Comb(
             *sizes(standards, gsd, gsd_sd), FEWEST_YARDS, MOST_YARDS, YARD_BLOCK / gsd, ACROSS_FIELD / gsd,
             YARD_LINE / gsd,

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..core.anchors import Anchor, Standard
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from .peaks import circle_votes, peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import sizes, within_reach

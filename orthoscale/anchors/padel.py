@@ -56,7 +56,7 @@ class PadelCourts:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        if image.ndim != 3 or min(image.shape[:2]) < HALF_LENGTH / gsd:
+        if min(image.shape[:2]) < HALF_LENGTH / gsd:
             return []
         look = CourtLook(image, gsd, gsd_sd, PADEL_SEARCHED)
         # The lines of two neighbouring courts also form an H, as clear as that of each court.

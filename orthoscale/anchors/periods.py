@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaln, stdtrit
 
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 
 NEAR_PLACE = 0.12  # of the period: a thing farther from its place does not belong to the row
 ROW_ROUNDS = 3  # of fitting, each with the things that the one before found near the row

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
-from ..core.pooling.posterior import ROBUST_SD, median_sd
+from ..core.normal import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -142,8 +142,6 @@ class RailTracks:
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
         standards = holding(self.standards, country) if country else list(self.standards)
-        if min(image.shape[:2]) < 2 * SEED_PX:
-            return []
         low, high = sizes(standards, gsd, gsd_sd)
         light = lightness(image)
         tracks = [track for look in (light, 255 - light) for track in _tracks(look, low, high, gsd)]

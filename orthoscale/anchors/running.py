@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard, holding
 from .combs import Block, Comb, comb_anchor, find_combs, pitch
-from .ridges import SEED_PX, lightness
+from .ridges import lightness
 from .rules import sizes, within_reach
 
 LANE_BUILT = 0.008  # relative one sigma of a track's mean lane about its rule: World Athletics allows 0.01 m in 1.22
@@ -50,8 +50,6 @@ class RunningTracks:
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
         standards = holding(self.standards, country)
-        if min(image.shape[:2]) < 2 * SEED_PX:
-            return []
         comb = Comb(
             *sizes(standards, gsd, gsd_sd),
             FEWEST_LINES,

@@ -42,7 +42,7 @@ from .options import (
 @option(
     "--out",
     type=PATH,
-    group="Output",
+    group="Main",
     help="What to write: a picture (.png), a list (.json), a layer (.gpkg), or a folder for all of them.",
 )
 @overwrite_option

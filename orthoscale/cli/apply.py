@@ -18,7 +18,7 @@ from .options import CONVERTING, PATH, command, debug_option, json_option, optio
 )
 @click.argument("sim3", metavar="SIM3", type=PATH)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)
-@option("--out", required=True, type=PATH, group="Output", help="Folder to write; file names stay as they are.")
+@option("--out", required=True, type=PATH, group="Main", help="Folder to write; file names stay as they are.")
 @overwrite_option
 @json_option("what was written")
 @debug_option

@@ -39,12 +39,12 @@ NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
     "--fleet",
     default="world",
     show_default=True,
-    group="Input",
+    group="Main",
     help="Country of the vehicles, by code or name (US, DE, Japan ...), or a fleet.json.",
 )
 @option("--local-fleet", is_flag=True, group="Evidence", help="Also fit the mean size of the vehicles here.")
 @options_of(VehicleRequest, leave=NOT_HERE)
-@option("--out", type=PATH, group="Output", help="Calibration file (.json) to write.")
+@option("--out", type=PATH, group="Main", help="Calibration file (.json) to write.")
 @overwrite_option
 @json_option("the calibration")
 @debug_option

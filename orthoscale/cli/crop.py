@@ -32,11 +32,11 @@ from .photo_options import LENS_FLAGS, lens_options
     "  orthoscale crop a.jpg --satellite sat.tif --gsd 0.08 \\\n      --at 8.54,47.38 --out crops/\n\n" + MEASURING
 )
 @click.argument("path", metavar="PHOTO", type=PATH)
-@option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")
+@option("--satellite", required=True, type=PATH, group="Main", help="Georeferenced satellite picture.")
 @option("--at", metavar="LON,LAT", group="Input", help="Centre of the search area; the whole picture by default.")
 @option("--radius", type=float, metavar="M", group="Input", help="Half the side of the search area; else one crop.")
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photo in m/px; then nothing is measured.")
-@option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
+@option("--out", required=True, type=PATH, group="Main", help="Folder to write.")
 @option("--square", is_flag=True, group="Output", help="Square crops, as large as the photo's shorter side.")
 @option("--stride", type=float, group="Output", help="Shift between crops, in crop sizes  [default: 0.5]")
 @option(

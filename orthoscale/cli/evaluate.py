@@ -78,7 +78,7 @@ if TYPE_CHECKING:
     "outputs",
     multiple=True,
     type=PATH,
-    group="Output",
+    group="Main",
     help="File to write: .json (everything) or .csv (a line per photo); repeatable.",
 )
 @overwrite_option

@@ -40,7 +40,7 @@ MOST_UNKNOWN = 10  # most models of unknown size that are listed
     group="Input",
     help="Make a fleet from a register with columns model and count, and make if known.",
 )
-@option("--out", type=PATH, group="Output", help="Where to write it, as JSON for --fleet.")
+@option("--out", type=PATH, group="Main", help="Where to write it, as JSON for --fleet.")
 @overwrite_option
 @json_option("the fleets")
 @debug_option

@@ -60,7 +60,7 @@ from .options import (
     group="Input",
     help="Half of the scale's 90 % interval, instead of the report's.",
 )
-@option("--out", type=PATH, group="Output", help="Folder to write.")
+@option("--out", type=PATH, group="Main", help="Folder to write.")
 @option("--list", "list_them", is_flag=True, group="Output", help="List the facilities with their sources, and stop.")
 @overwrite_option
 @memory_option

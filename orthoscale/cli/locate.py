@@ -34,7 +34,7 @@ from .photo_options import lens_options
     + MEASURING.replace("too little evidence", "not located").replace("evidence disagrees", "two places fit")
 )
 @click.argument("paths", metavar="PHOTO...", nargs=-1, required=True, type=PATH)
-@option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced map: satellite or orthophoto.")
+@option("--satellite", required=True, type=PATH, group="Main", help="Georeferenced map: satellite or orthophoto.")
 @option(
     "--prior",
     metavar="PLACE",
@@ -58,7 +58,7 @@ from .photo_options import lens_options
 @option("--embedding", type=PATH, group="Input", help="Your network for retrieval, ONNX.")
 @option("--embedding-map", type=PATH, group="Input", help="The one for the map, if it is another.")
 @option("--top", type=click.IntRange(1, 20), default=5, group="Output", help="Candidates to list  [default: 5]")
-@option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
+@option("--out", required=True, type=PATH, group="Main", help="Folder to write.")
 @options_of(VehicleRequest)
 @lens_options
 @overwrite_option

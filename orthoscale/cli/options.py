@@ -47,9 +47,9 @@ class GroupedCommand(click.Command):
     """A command whose help lists its options under headings."""
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options under the headings of their groups, in the order of GROUPS."""
+        """Write the options under the headings of their groups, in the order of GROUPS, required ones first."""
         groups: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
-        for each in self.get_params(context):
+        for each in sorted(self.get_params(context), key=lambda one: not one.required):
             if isinstance(each, click.Option) and (record := each.get_help_record(context)) is not None:
                 groups[getattr(each, "group", GROUPS[-1])].append(record)
         for group, records in groups.items():

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     "outputs",
     multiple=True,
     type=PATH,
-    group="Output",
+    group="Main",
     help="Table to write: .csv, .json or .gpkg; repeatable.",
 )
 @overwrite_option

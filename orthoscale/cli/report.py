@@ -35,7 +35,7 @@ def _print_schema(context: click.Context, parameter: click.Parameter, asked: boo
     help="Print the JSON Schema of a report, and do nothing else.",
 )
 @option("--images", type=PATH, group="Input", help="Folder with the model's frames.")
-@option("--out", type=PATH, group="Output", help="Page (.html) or picture (.png) to write  [default: REPORT.html]")
+@option("--out", type=PATH, group="Main", help="Page (.html) or picture (.png) to write  [default: REPORT.html]")
 @overwrite_option
 @memory_option
 @debug_option

@@ -107,7 +107,7 @@ def estimate(
 )
 @inputs
 @options_of(FixRequest)
-@option("--out", required=True, type=PATH, group="Output", help="GeoTIFF (orthophoto) or folder (model) to write.")
+@option("--out", required=True, type=PATH, group="Main", help="GeoTIFF (orthophoto) or folder (model) to write.")
 @save_option
 @json_option()
 @dry_run_option

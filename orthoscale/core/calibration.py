@@ -19,7 +19,7 @@ from ..errors import UsageError
 from .detections import Detections
 from .fleet import Fleet
 from .market_segments import AXES
-from .pooling.posterior import ROBUST_SD
+from .normal import ROBUST_SD
 from .ruler import Ruler
 
 ISO_CODE = re.compile("[A-Z]{2}")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from .pooling.posterior import Z90
+from .normal import Z90
 from .remarks import INFO, Remark
 from .scale import PER_PIXEL, Scale
 from .source import Source

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from .evidence import BY_CONTROL, BY_DISTANCE, Evidence
-from .pooling.posterior import Z90, Posterior
+from .normal import Z90
+from .pooling.posterior import Posterior
 
 DISTANCE_SD = 0.01  # relative one sigma of a known distance without a given one: a tape, and points clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # limits of a known distance [m]: what can show in a picture
@@ -73,7 +74,7 @@ def ground_control(
         rest = 1 - (np.linalg.norm(first.T @ second, "nuc") / spread[0] / spread[1]) ** 2
         sd = max(sd, float(np.sqrt(max(rest, 0.0) / freedom) * stdtrit(freedom, 0.95)) / Z90)
     else:
-        says.append(f"assumed good to {CONTROL_SD:g} m")
+        says.append(f"assumed good to {CONTROL_SD:g} m, as two do not check each other")
     if level_sd:
         says.append("the ground assumed level")
     sd = float(np.hypot(sd, level_sd))

@@ -94,6 +94,17 @@ class Detections:
         return replace(self, set_aside={**self.set_aside, why: aside}) if aside else self
 
     @property
+    def assumed(self) -> tuple[str, ...]:
+        """A note that nobody has measured the ruler, if so."""
+        if self.ruler != UNKNOWN_RULER:
+            return ()
+        length, width = self.ruler.margin_sd
+        return (
+            "by how much these boxes are longer and wider than the vehicles is not known: "
+            f"0 +- {length:g} and 0 +- {width:g} detector pixels are assumed (orthoscale calibrate measures it)",
+        )
+
+    @property
     def any_boxes(self) -> bool:
         """Whether there is any vehicle, in the pictures or in the ground pictures."""
         return len(self) > 0 or (self.planar is not None and self.planar.any_boxes)

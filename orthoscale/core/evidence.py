@@ -18,7 +18,8 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from .pooling.posterior import Z90, Posterior
+from .normal import Z90
+from .pooling.posterior import Posterior
 from .remarks import CAUTION, INFO, REFUSAL, Remark, percent
 
 CONFLICT_HINT = (

@@ -18,7 +18,6 @@ from .control import LEVEL_SD
 from .evidence import BY_GPS, Evidence
 
 FEWEST_POSITIONS = 6  # fewest that must fit: the four parameters of a similarity from twelve numbers; a judgement
-MOST_POSITIONS = 300  # positions of a flight, evenly chosen, that are read and fitted: more repeat the same slow errors
 # Residuals along one axis that a receiver may cause [m]: drones hover by GPS within that (DJI's specifications, from
 # Phantom 4 on). Larger ones have another cause, and may not average out: positions of `weedon` lag behind its pictures,
 # the more the faster it flies.

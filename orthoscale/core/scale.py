@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .evidence import Evidence, Support
-from .pooling.posterior import Z90
+from .normal import Z90
 from .remarks import Remark, by_severity
 from .verdicts import CHECK_LIMIT, verdict, worst
 

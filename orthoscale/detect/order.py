@@ -9,6 +9,7 @@ import numpy as np
 from ..core.detections import Tile
 
 GOLDEN = (np.sqrt(5) - 1) / 2
+CURVE_BITS = 12  # of each coordinate along the space-filling curve: 4096 places across
 
 
 def visiting_order(tiles: Sequence[Tile], weight: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -32,12 +33,12 @@ def visiting_order(tiles: Sequence[Tile], weight: np.ndarray, seed: int = 0) -> 
     return along[picked[np.sort(first)]]
 
 
-def _along_curve(centre: np.ndarray, bits: int = 12) -> np.ndarray:
+def _along_curve(centre: np.ndarray) -> np.ndarray:
     """(N,) position of points (N, 2) along the Z-order curve of their bounding box (Morton 1966)."""
     low = centre.min(0)
-    cell = ((centre - low) / max(float(np.ptp(centre, axis=0).max()), 1.0) * (2**bits - 1)).astype(np.int64)
+    cell = ((centre - low) / max(float(np.ptp(centre, axis=0).max()), 1.0) * (2**CURVE_BITS - 1)).astype(np.int64)
     position = np.zeros(len(centre), np.int64)
-    for bit in range(bits):
+    for bit in range(CURVE_BITS):
         for axis in (0, 1):
             position |= ((cell[:, axis] >> bit) & 1) << (2 * bit + axis)
     return position

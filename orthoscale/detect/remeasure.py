@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
-from ..core.pooling.posterior import ROBUST_SD
+from ..core.normal import ROBUST_SD
 from ..core.progress import Progress
 from ..core.remarks import amount, signed
 from ..core.ruler import Ruler

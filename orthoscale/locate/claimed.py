@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.looking import Looking, boxes_of

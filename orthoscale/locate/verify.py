@@ -146,14 +146,14 @@ def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: i
     return np.column_stack([here[mutual], there[forth[mutual]]])
 
 
-def agreeing(matches: np.ndarray, seed: int = 0) -> SimilarityFit | None:
+def agreeing(matches: np.ndarray) -> SimilarityFit | None:
     """The similarity on which most `matches` (N, 4) agree, among those with little turn and stretch (MOST_TURNED,
     MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), then refitted. None if no pair gives
     one."""
     z, w = _complex(matches[:, :2]), _complex(matches[:, 2:])
     if len(z) < 2:
         return None
-    draw = np.random.default_rng(seed)
+    draw = np.random.default_rng(0)
     first, second = draw.integers(0, len(z), (2, RANSAC_DRAWS))
     far = np.abs(z[first] - z[second]) >= SHORTEST_PAIR
     first, second = first[far], second[far]

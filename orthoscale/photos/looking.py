@@ -83,7 +83,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
         found = _detected(photos, how, fleet, progress)
     if how.calibration is not None:
         found = load_calibration(path := Path(how.calibration)).applied(found, path)
-    return found
+    return replace(found, notes=(*found.notes, *found.assumed))
 
 
 def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Progress | None) -> Detections:

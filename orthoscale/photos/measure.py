@@ -26,7 +26,7 @@ from ..core.measuring.measurement import Findings
 from ..core.measuring.oblique import ROUNDS, SETTLED, card_of, of_each_view
 from ..core.measuring.surroundings import Standards
 from ..core.measuring.systematic import Systematic
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.height import lean
 from ..core.projection.level import level_axes, level_views, up_from_gimbal

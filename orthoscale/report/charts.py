@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.remarks import signed
 from ..core.round_numbers import round_above, round_below
 from .places import LocalFrameScale, LocalRegionScale, in_percent

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from .charts import strength
 from .lettering import BLACK, WHITE, text_width, write_on
 from .places import in_percent

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.claims import NO_UNIT
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
 from ..requests import command_line

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import exp, expm1, log
 from typing import Any
 
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from .document import pixel_size
 
 

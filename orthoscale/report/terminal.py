@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ..core.claims import own_claim
-from ..core.pooling.posterior import Z90
+from ..core.normal import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
 from ..system.printing import echo, printing
@@ -60,7 +60,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("vehicles", f"{scale.vehicles_used} used{seen}{': ' if kinds else ''}{kinds}"),
         ("rejected", counted(rejected) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
-        *([("likely", likely)] if (likely := likely_fleets(scale.fleets)) else []),
+        *([("likely", f"the vehicles' fleet is {likely}")] if (likely := likely_fleets(scale.fleets)) else []),
         *([("checks", "scale from " + ", ".join(checks))] if scale.checks else []),
         ("uncertain", (", ".join(parts) or "nothing") + " (1 sigma each)"),
         (

@@ -12,6 +12,7 @@ from ..core.scale import decimals, interval_about
 from .document import of_plan
 
 FLEETS_NAMED = 5  # number of likely fleets that are named
+EXAMPLE_LENGTH = 10.0  # [m] in the copy, of which it is told what it may be on the ground
 
 
 def counted(numbers: Mapping[str, int]) -> str:
@@ -61,11 +62,11 @@ def relative(scale: float, report: Mapping[str, Any]) -> float:
     return scale / report["scale"] - 1
 
 
-def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
-    """What the interval means for a `length` [m] in the copy, as a sentence."""
-    low, high = (length * end / report["scale"] for end in report["interval90"])
+def metres_of(report: Mapping[str, Any]) -> str:
+    """What the interval means for lengths in the copy, as a sentence."""
+    low, high = (EXAMPLE_LENGTH * end / report["scale"] for end in report["interval90"])
     places = min(max(decimals((high - low) / 2) - 1, 1), 3)
-    return f"{length:g} m in the copy are {low:.{places}f} to {high:.{places}f} m on the ground"
+    return f"{EXAMPLE_LENGTH:g} m in the copy are {low:.{places}f} to {high:.{places}f} m on the ground"
 
 
 def narrowed(report: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.gps import MOST_POSITIONS, by_positions
+from ..core.gps import by_positions
 from ..core.source import GpsScale
 from ..errors import InputError, OrthoscaleError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..core.source import PosedSet
     from .tags import Tags
 
+MOST_POSITIONS = 300  # positions of a flight, evenly chosen, that are read and fitted: more repeat the same slow errors
 TAKEN = "%Y:%m:%d %H:%M:%S"  # EXIF 2.32, DateTimeOriginal
 SPACING = 3.0  # [s] between frames whose tags have no time: mapping drones take one every 2 to 5 s
 

@@ -146,7 +146,9 @@ class RasterSource:
     def check_name(out: Path) -> None:
         """Raise UsageError for a name that `write` would refuse."""
         if out.suffix.lower() not in (".tif", ".tiff"):
-            raise UsageError(f"{out.name} would be a GeoTIFF", "Choose a name that ends in .tif.")
+            raise UsageError(
+                f"{out}: an orthophoto is written as GeoTIFF, and its name must say so", "Let it end in .tif or .tiff."
+            )
         if not can_find(out.absolute()):  # as its temporary name is
             raise UsageError(f"{out}: {IN_UTF8}", "Choose another place.")
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
-from ..pooling.posterior import Z90
+from ..normal import Z90
 from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
 from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..pooling.posterior import ROBUST_SD, of_median
+from ..normal import ROBUST_SD, of_median
 from ..scale import Scale
 from ..votes import Votes
 from .drift import Trend

@@ -15,7 +15,7 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ..pooling.posterior import ROBUST_SD
+from ..normal import ROBUST_SD
 from ..source import PosedSet
 from ..votes import SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boxes import Boxes
-from ..pooling.posterior import ROBUST_SD
+from ..normal import ROBUST_SD
 from ..projection.planar import ground_size
 
 SQUEEZE = "squeeze"  # name of this part of a scale's uncertainty

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evidence import Support
+from ..normal import Z90, median_sd
 from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
-from .posterior import Z90, median_sd
 
 CONTRADICTION = 2.6  # sigmas above which two measurements of one scale contradict each other; by chance in 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty that two measurements of one model do not share

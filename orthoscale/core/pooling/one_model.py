@@ -61,7 +61,7 @@ def of_one_model(
     """
     kinds = np.eye(len(KINDS)) if seen.called.size else np.ones((1, len(KINDS))) / len(KINDS)
     every = _sizes(seen, fleet, kinds, shrinkage, confusion)
-    weight, mean, variance = [], [], []
+    log_weight, mean, variance = [], [], []
     for one, probability in zip(fleet.candidates or (fleet,), fleet.prior or (1.0,), strict=True):
         country, larger = one.class_mean_covariance(one.classes), left_out(one.classes)
         own = (1 - larger) / sum(c.weight for c in one.classes)
@@ -74,17 +74,18 @@ def of_one_model(
                 covariance = believed(sum(known.values(), covariance))
                 gap = shrinkage.log_mean(part) - sizes.log_size
                 weights = combine(covariance)
-                weight.append(
+                log_weight.append(
                     np.log(probability * own * part.weight * share)
                     + sizes.log_evidence
                     + _log_normal(LENGTH_LESS_WIDTH @ gap, LENGTH_LESS_WIDTH @ covariance @ LENGTH_LESS_WIDTH)
                 )
                 mean.append(weights @ gap)
                 variance.append(weights @ covariance @ weights)
-    if not weight:
+    if not log_weight:
         return None
-    log_evidence = float(np.logaddexp.reduce(weight))
-    return OneModel(Posterior(np.exp(np.array(weight) - log_evidence), np.array(mean), np.sqrt(variance)), log_evidence)
+    log_evidence = float(np.logaddexp.reduce(log_weight))
+    weight = np.exp(np.array(log_weight) - log_evidence)
+    return OneModel(Posterior(weight, np.array(mean), np.sqrt(variance)), log_evidence)
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from scipy.special import stdtrit
 
 from ...errors import TooLittleEvidence
 from ..fleet import Fleet
+from ..normal import Z90
 from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import verdict
 from ..votes import Votes
-from .posterior import Z90
 from .robust import MIN_VEHICLES
 
 NARROW = "the paper's estimator: its interval leaves out the uncertainty of fleet, margin and geometry"

@@ -23,6 +23,7 @@ from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..evidence import Evidence, combined
 from ..fleet import Fleet
+from ..normal import of_median
 from ..remarks import INFO, Remark, amount
 from ..ruler import Ruler
 from ..scale import Scale
@@ -33,7 +34,7 @@ from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
 from .observed import Confusion, Seen, Shrinkage
 from .one_model import OneModel, of_one_model
-from .posterior import Posterior, of_median
+from .posterior import Posterior
 from .problem import Mix, believed, combine
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same

@@ -69,15 +69,13 @@ def paper_scale(
     return (np.asarray(priors[:2]) / ground_size(boxes, views, priors, variant)).mean(1)
 
 
-def focal_plane_scale(
-    boxes: Boxes, views: Views, priors: tuple[float, float, float] = PRIORS, variant: Variant = TEXT
-) -> np.ndarray:
+def focal_plane_scale(boxes: Boxes, views: Views, variant: Variant = TEXT) -> np.ndarray:
     """(N, 2) the paper's ``s_len, s_wid``: metres per pixel of the nadir view from the same altitude.
 
     The unit of `views` does not enter, nor does the altitude: ``s = metres_per_unit * altitude_in_units / f``.
     """
     altitude_units = -(views.ground * views.normal).sum(1)
-    scale = np.asarray(priors[:2]) / ground_size(boxes, views, priors, variant)
+    scale = np.asarray(PRIORS[:2]) / ground_size(boxes, views, variant=variant)
     return scale * (altitude_units / _focal(views))[:, None]
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..pooling.posterior import ROBUST_SD
+from ..normal import ROBUST_SD
 from .own_ruler import CORNER, HEIGHT, LARGEST, LEAN, LOWEST, MARGIN, UNDERCUT, OwnRuler, SeenBoxes
 from .view import Views
 

@@ -19,7 +19,9 @@ from .mark import MARK, mark, refuse_marked
 
 INTEGER_DEPTH = "integer_depth_scale"
 POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the last two for a rolling shutter
-EXTENTS = ("aabb", "near", "far")  # lengths that bound the part of the world that is rendered
+# Other lengths: what bounds the part of the world that is rendered, and the velocity of a camera [units / s], for
+# rolling shutters and motion blur (3DGS with motion deblurring, Seiskari et al. 2024).
+OTHER_LENGTHS = ("aabb", "near", "far", "camera_linear_velocity")
 CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
 SPLAT_CAMERAS = "cameras.json"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
@@ -84,9 +86,10 @@ def camera_centres(text: dict[str, Any] | list[dict[str, Any]]) -> dict[str, np.
 def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred, list[str]]:
     """Write a transforms.json in metres; returns the point cloud that must be scaled as well, and notes for the user.
 
-    Scaled are the cameras' positions, the scene's box and depth range, the shift of ``applied_transform``, which leads
-    back to the world before nerfstudio rotated it, and instant-ngp's ``integer_depth_scale``, the length of one step of
-    its depth maps. ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
+    Scaled are the cameras' positions and velocities, the scene's box and depth range, the shift of
+    ``applied_transform``, which leads back to the world before nerfstudio rotated it, and instant-ngp's
+    ``integer_depth_scale``, the length of one step of its depth maps. ``applied_scale`` stays: its world is now the
+    metric one. Raises InputError, UsageError.
     """
     text = cast("dict[str, Any]", read_poses(source))
     if MARK in text:
@@ -95,7 +98,7 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
         for name in (name for name in POSES if frame.get(name) is not None):
             frame[name] = _grown(frame[name], scale)
     for part in (text, *text["frames"]):
-        for name in (name for name in EXTENTS if name in part):
+        for name in (name for name in OTHER_LENGTHS if name in part):
             part[name] = _each(part[name], scale)
     if "applied_transform" in text:
         text["applied_transform"] = _grown(text["applied_transform"], scale)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from ...core.boxes import Boxes
-from ...core.pooling.posterior import ROBUST_SD
+from ...core.normal import ROBUST_SD
 from ...errors import InputError
 from ..measure import Measure, Photo
 
