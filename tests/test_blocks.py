@@ -16,7 +16,7 @@ from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
-from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic
+from orthoscale.core.measuring.systematic import ENDS, FITTED_ENDS, FITTED_SIDES, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Sightings, gather
@@ -198,14 +198,33 @@ def test_what_a_picture_of_the_ground_enlarges_does_not_count():
         assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
 
 
+@pytest.mark.slow
+def test_boxes_of_ground_pictures_are_measured_by_the_bodies_that_the_frames_show():
+    """With a card whose bodies are 0.6 m too high, views of all angles show that; straight down alone nothing does."""
+    block = fly(np.random.default_rng(9), FLEET, Conditions("grid", vehicles=60), unsure=False)
+    wrong = {"effective_height": tuple(h + 0.6 for h in block.found.effective_height)}
+    found = replace(block.found, **wrong, planar=replace(block.found.planar, **wrong))
+    both = measure_source(block.source, found, FLEET)
+    alone = measure_source(block.source, found, FLEET, mode="planar")
+    known = measure_source(block.source, block.found, FLEET).modes["planar"]
+    width, by_card, right = (np.median(m.size[:, 1]) for m in (both.modes["planar"], alone, known))
+    assert abs(np.log(by_card / right)) > 0.01, "bodies do not matter here: nothing is tested"
+    assert abs(np.log(width / right)) < 0.3 * abs(np.log(by_card / right))
+    fitted, planar = (both.modes[name].pooled.systematic for name in ("oblique", "planar"))
+    assert (planar.cross(fitted) > 0.5 * np.diag(planar.covariance)).all(), (
+        "an error of these bodies is one of both modes"
+    )
+
+
 def test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly():
     """By what one sigma of the height more changes the sizes of boxes away from the nadir, at least is claimed."""
     block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=40), unsure=False)
     above = block.found.planar
     plain = SweepGeometry.of(block.source, above)
     raised = replace(above, effective_height=tuple(h + HEIGHT_SD for h in above.effective_height))
-    seen, less = (g.observe(block.metres_per_unit) for g in (plain, replace(plain, found=raised)))
-    told = np.sqrt(np.diag(Systematic(np.zeros(2), {k: seen.systematic.shared[k] for k in (ENDS, SIDES)}).covariance))
+    seen, less = (SweepGeometry.of(block.source, f).observe(block.metres_per_unit) for f in (above, raised))
+    bodies = {k: seen.systematic.shared[k] for k in (ENDS, SIDES, FITTED_ENDS, FITTED_SIDES)}
+    told = np.sqrt(np.diag(Systematic(np.zeros(2), bodies).covariance))
     change = -np.median(np.log(less.size / seen.size), axis=0)
     assert (told >= 0.8 * change).all() and change[1] > 0.001 and told[0] > 0.002
     away = np.linalg.norm(plain.offset, axis=1)

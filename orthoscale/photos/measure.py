@@ -299,7 +299,7 @@ class PhotoGeometry:
         """See `Geometry.observe`. For the uncertainty of attitude, lens and effective height, the boxes are measured
         again with each a little off."""
         ruler, seen = card_of(self.found), SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
-        size, by_body = ruler.size_and_sd(seen)
+        size, by_body, _ = ruler.size_and_sd(seen)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
         shared = {name: larger_by(ruler.size(replace(seen, views=v)), size) for name, v in self.off.items()}

@@ -1,7 +1,8 @@
 """Measures vehicles in frames warped onto the ground (planar), as if they were an orthophoto.
 
-This is the paper's orthophoto method without an orthophoto, and independent of `oblique`: the two share neither the
-projection nor the pictures. A plan shows footprints; the relief displacement that remains near the nadir is removed.
+This is the paper's orthophoto method without an orthophoto. It shares neither the projection nor the pictures with
+`oblique`. A plan shows footprints; the relief displacement that remains near the nadir is removed, by the bodies that
+`oblique` fitted to its views if it did, else by those of the detector's card.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
 from ..pooling.robust import MIN_VEHICLES
-from ..projection.own_ruler import SeenBoxes
+from ..projection.own_ruler import OwnRuler, SeenBoxes
 from ..projection.planar import ground_size
 from ..projection.view import Views
 from ..scale import Scale
@@ -52,6 +53,7 @@ class SweepGeometry:
     box, along its long and its short side, in camera heights. camera : (M, 1) that height over the ground [model
     units]. along : (M, 3) unit vectors along the long sides, in world coordinates. focal_sd : relative one-sigma of the
     focal length. footing : the ground under the boxes, for them and for everything else that is measured on it.
+    card : the ruler of the network's card. ruler : the one measured by. Both without the margin.
     """
 
     source: PosedSet
@@ -65,6 +67,8 @@ class SweepGeometry:
     camera: np.ndarray
     focal_sd: float
     footing: Footing
+    card: OwnRuler
+    ruler: OwnRuler
     lost: Mapping[str, int]
     projection: str = "exact"
     called: str = CALLED_ABOVE
@@ -73,8 +77,11 @@ class SweepGeometry:
     settled: float = 0.0
 
     @classmethod
-    def of(cls, source: PosedSet, found: Detections) -> SweepGeometry:
-        """The geometry of the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
+    def of(cls, source: PosedSet, found: Detections, fitted: OwnRuler | None = None) -> SweepGeometry:
+        """The geometry of the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence.
+
+        fitted : the ruler fitted to boxes of the same network in frames; None for that of its card.
+        """
         pictures = {picture.name: picture for picture in source.ground_pictures}
         lost = {**doubts(found), TOO_FLAT: 0, TOO_COARSE: 0}
         parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
@@ -101,6 +108,7 @@ class SweepGeometry:
         images = np.array([pictures[name].image for name in names])
         footing = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
         farther = (1 + footing.lower)[:, None]
+        card = card_of(found)
         return cls(
             source=source,
             found=found,
@@ -113,6 +121,8 @@ class SweepGeometry:
             camera=camera[:, None] * farther * source.focal.ratio,
             focal_sd=source.focal.sd,
             footing=footing,
+            card=card,
+            ruler=fitted.body_alone if fitted is not None else card,
             lost=lost,
         )
 
@@ -133,13 +143,15 @@ class SweepGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes of the boxes, less the part due to the vehicles' height."""
-        ruler = card_of(self.found)
-        size, by_body = ruler.size_and_sd(self._seen(metres_per_unit))
+        size, by_body, slopes = self.ruler.size_and_sd(self._seen(metres_per_unit))
+        if not np.isfinite(size).all(1).any():
+            return Observation(size, self.found.ruler)
         by_focal = {}
         if self.focal_sd:
-            longer = ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))
+            longer = self.ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))
             by_focal["focal length"] = larger_by(longer, size)
-        systematic = of_height(by_body).and_shared({**self.footing.alike, **by_focal})
+        left_of_card = self.ruler.left_of_height(self.card, size, slopes)
+        systematic = of_height(by_body, left_of_card).and_shared({**self.footing.alike, **by_focal})
         lasting = of_each_view(self.footing.each, np.abs(self.offset), size * metres_per_unit)
         return Observation(size, self.found.ruler, systematic, lasting)
 

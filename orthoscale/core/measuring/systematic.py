@@ -11,8 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-# Names of two shared causes: errors of the card's effective height at the ends and at the sides of vehicles.
+# Names of shared causes: errors of the card's effective height at the ends and at the sides of vehicles; and errors of
+# the bodies fitted to the views of a reconstruction, as far as they are not the card's.
 ENDS, SIDES = "height of ends", "height of sides"
+FITTED_ENDS, FITTED_SIDES = "fitted ends", "fitted sides"
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,12 @@ def of_height(alone: np.ndarray, left: np.ndarray | float = 1.0) -> Systematic:
     """Errors of sizes from the uncertainty of vehicles' bodies, including their heights.
 
     alone : (2,) relative one-sigmas of lengths and widths. left : (2,) correlation of these errors with the error of
-    the card's effective heights: 1 if the heights come from the card alone. The rest is this mode's own.
+    the card's effective heights: 1 if the heights come from the card alone. The rest is the fit's, common to all modes
+    that measure by the fitted ruler.
     """
     by_card = alone * left
-    own = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))
-    return Systematic(own, {ENDS: np.array([by_card[0], 0.0]), SIDES: np.array([0.0, by_card[1]])})
+    by_fit = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))
+    causes = {ENDS: (by_card[0], 0.0), SIDES: (0.0, by_card[1])}
+    if by_fit.any():
+        causes |= {FITTED_ENDS: (by_fit[0], 0.0), FITTED_SIDES: (0.0, by_fit[1])}
+    return Systematic(shared={cause: np.array(error) for cause, error in causes.items()})

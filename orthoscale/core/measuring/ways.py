@@ -1,7 +1,7 @@
 """Chooses the measuring modes of a source: planar for a plan, oblique and planar for a posed set.
 
 The two modes of a posed set (in its frames, and in frames warped onto the ground) share neither the projection nor the
-pictures, so each checks the other.
+pictures, so each checks the other. They share what the views in frames tell of the vehicles' bodies.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ...errors import TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import alone, compare, of_scales, together
+from ..projection.own_ruler import OwnRuler
 from ..scale import Scale
 from ..source import PosedSet, Source
 from .contradiction import Cause, cause
@@ -24,7 +25,7 @@ from .joining import in_common, united
 from .measure import doubts, measure
 from .measurement import Measurement
 from .method import Method
-from .oblique import FramesGeometry, shown_in_frames
+from .oblique import FramesGeometry, card_of, shown_in_frames
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 from .plausibility import plausible
@@ -65,15 +66,17 @@ def measure_posed(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
             "Remove --detections, or use a file that --save-detections wrote for --mode both.",
         )
+    modes: dict[str, Measurement] = {}
     ways: dict[str, Callable[[], Measurement]] = {
         OBLIQUE: lambda: measure(FramesGeometry.of(source, found, fleet, method), fleet, method)
     }
     if found.planar is not None:
         planar = found.planar
-        ways[PLANAR] = lambda: measure(SweepGeometry.of(source, planar), fleet, method)
+        ways[PLANAR] = lambda: measure(
+            SweepGeometry.of(source, planar, _fitted(modes.get(OBLIQUE), planar)), fleet, method
+        )
     if mode in (OBLIQUE, PLANAR):
         ways = {mode: ways[mode]}
-    modes: dict[str, Measurement] = {}
     failed: dict[str, TooLittleEvidence] = {}
     for name, way in ways.items():
         try:
@@ -86,6 +89,14 @@ def measure_posed(
     if source.focal.said:
         notes = (*notes, source.focal.said)
     return replace(_of_one_scale(_answer(source, found, modes, fleet, method)), modes=modes, notes=notes)
+
+
+def _fitted(oblique: Measurement | None, planar: Detections) -> OwnRuler | None:
+    """The ruler fitted to the views of `oblique`, for the boxes `planar` of a network with the same card; else None."""
+    calibration = oblique.findings.calibration if oblique is not None else None
+    if calibration is None or not np.array_equal(calibration.card.body_alone.value, card_of(planar).value):
+        return None
+    return calibration.ruler
 
 
 def _answer(

@@ -101,6 +101,13 @@ class OwnRuler:
         return self.value[:, UNDERCUT]
 
     @property
+    def body_alone(self) -> OwnRuler:
+        """The same without the margin, which stays in the boxes."""
+        value, covariance = self.value.copy(), self.covariance.copy()
+        value[:, MARGIN] = covariance[:, MARGIN] = covariance[:, :, MARGIN] = 0.0
+        return replace(self, value=value, covariance=covariance)
+
+    @property
     def expects_undercut(self) -> bool:
         """Whether the undercut has a sigma, as on a card with an undercut."""
         return bool(self.covariance[:, UNDERCUT, UNDERCUT].any())
@@ -164,13 +171,14 @@ class OwnRuler:
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
-    def size_and_sd(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes (N, 2) as `size`, NaN also where a slightly different body could not give the box; and (2,) relative
-        one-sigmas common to all lengths and to all widths, from the uncertainty of bodies and of what boxes enclose."""
+    def size_and_sd(self, seen: SeenBoxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sizes (N, 2) as `size`, NaN also where a slightly different body could not give the box; (2,) relative
+        one-sigmas common to all lengths and to all widths, from the uncertainty of bodies and of what boxes enclose;
+        and the `slopes` (N, 2, 5) for these bodies."""
         size, slopes = self.size(seen), self.slopes(seen, BODY)
         ok = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         sd = np.sqrt(np.square(self.relative_sd(size[ok], slopes[ok])).sum(1)) if ok.any() else np.zeros(2)
-        return np.where(ok[:, None], size, np.nan), sd
+        return np.where(ok[:, None], size, np.nan), sd, slopes
 
     def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """(2,) correlation of the errors of lengths and of widths from bodies with the error of the card's height.
