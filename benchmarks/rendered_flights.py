@@ -1,14 +1,16 @@
 """How accurate is `estimate` on reconstructions whose frames are rendered, and do its 90 % intervals hold?
 
-    python benchmarks/rendered_flights.py --keep FOLDER                # 32 flights: an hour
+    python benchmarks/rendered_flights.py --keep FOLDER                # 32 flights: 20 minutes
     python benchmarks/rendered_flights.py --keep FOLDER --flights 8
 
-The whole program on frames with exact truth: detector, measurer, projection in both modes, and pooling, with the country
-named and without anchors. (`flights.py` has many more flights, but a perfect detector.) Pitch, altitude, camera, slope of
-the ground, style of the scene, vehicles and light are drawn for each flight; the vehicles are those of one place of the
-country, which strays from the country's fleet as places do. What remains without that stray is shown beside the error:
-the mean size of the vehicles that stand in the scene against the fleet's.
-Prints Markdown, seeded. ``--keep FOLDER`` has the models, and a line of JSON for each; those in it are not measured again.
+The whole program on frames with exact truth: detector, measurer, projection in both modes, and pooling, with the
+country named and without anchors. (`flights.py` has many more flights, but a perfect detector.) Pitch, altitude,
+camera, slope of the ground, style of the scene, vehicles and light are drawn for each flight; the vehicles are those of
+one place of the country, which strays from the country's fleet as places do. Beside the error is what remains of it
+without that stray: the mean size of the vehicles that stand in the scene, against the fleet's.
+
+Prints Markdown, seeded. ``--keep FOLDER`` has the models, and a line of JSON for each; those in it are not measured
+again.
 """
 
 from __future__ import annotations
