@@ -713,6 +713,7 @@ FORGED = {
     "point id": ("points3D.bin", 8, "Q", 10**9, "not in points3D.bin"),
     "point NaN": ("points3D.bin", 16, "d", np.nan, "not a finite number"),
     "point infinite": ("points3D.bin", 32, "d", -np.inf, "not a finite number"),
+    "point's error NaN": ("points3D.bin", 43, "d", np.nan, "not a finite number"),
     "track length": ("points3D.bin", 51, "Q", 2**62, "file ends"),
     "track image": ("points3D.bin", 59, "I", 999, "image 999, which does not exist"),
     "track observation": ("points3D.bin", 63, "I", 10**6, "observation 1000000 of image"),
@@ -735,6 +736,22 @@ def test_forged_values(model_bin, what):
     assert said in error.message
     if name == "images.bin" and "name" not in what:
         assert "00.png" in error.message or "image 1" in error.message
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+@pytest.mark.parametrize("stored", [1.3e154, -1.0])
+def test_the_error_of_a_point_may_be_any_number(plain, tmp_path, form, stored):
+    """COLMAP gives a point behind one of its cameras the root of the largest double, or a share of it; -1 is unknown."""
+    model = pycolmap.Reconstruction(plain)
+    for number in sorted(model.points3D)[::5]:
+        model.points3D[number].error = stored
+    source = ColmapSource.open(save(model, tmp_path / "model", form), need_images=False)
+    other = ColmapSource.open(save(plain, tmp_path / "plain", form), need_images=False)
+    assert source.camera_height == other.camera_height
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    written = pycolmap.Reconstruction(str(tmp_path / "out")).points3D
+    assert written[min(written)].error == stored
 
 
 def test_empty_tables(model_bin):
