@@ -13,6 +13,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -392,6 +393,30 @@ def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
         ColmapSource.open(folder)
     with pytest.raises(InputError, match=r"cameras.bin is not a folder"):
         ColmapSource.open(folder, folder / "cameras.bin")
+
+
+@pytest.mark.parametrize("folder", ["", "Flug über/Köln/"])
+def test_names_with_letters_of_two_characters_are_told(plain, tmp_path, folder):
+    """The model has each marked letter as one character, the disk as two, or the other way: they look alike."""
+    for model, disk in (("NFC", "NFD"), ("NFD", "NFC")):
+        place = tmp_path / model
+        where = renamed(plain, place / "m", "bin", lambda name, form=model: normalize(form, f"{folder}ä {name}"))
+        put_frames(plain, place / "plain")
+        for frame in sorted((place / "plain").iterdir()):
+            target = place / "images" / normalize(disk, f"{folder}ä {frame.name}")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            frame.rename(target)
+        with pytest.raises(InputError, match=r"00.png has another name") as caught:
+            ColmapSource.open(where)
+        assert "as two characters" in caught.value.hint
+
+
+def test_a_folder_of_another_case_is_told(plain, tmp_path):
+    folder = renamed(plain, tmp_path / "m", "bin", lambda name: f"flight/{name}")
+    put_frames(plain, tmp_path / "images/Flight")
+    with pytest.raises(InputError, match=r"images/Flight/00.png has another name") as caught:
+        ColmapSource.open(folder)
+    assert "case" in caught.value.hint
 
 
 @pytest.mark.parametrize(
