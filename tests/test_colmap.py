@@ -341,6 +341,9 @@ def test_the_folder_below_that_has_the_frames_is_told(plain, model_bin, tmp_path
     put_frames(plain, tmp_path / "photos" / below)
     with pytest.raises(InputError, match=rf"(?s)00.png, and it lies in .*--images .*photos/{below}\."):
         ColmapSource.open(model_bin, images=tmp_path / "photos")
+    (tmp_path / "photos").rename(tmp_path / "images")
+    with pytest.raises(InputError, match=rf"(?s)00.png, and it lies in .*--images .*images/{below}\."):
+        ColmapSource.open(model_bin)
 
 
 def test_frames_and_database_beside_a_link(plain, tmp_path):

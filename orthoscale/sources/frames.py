@@ -76,7 +76,8 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             raise InputError(
                 f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
             )
-        if given is not None and (start := _below(given, missing[0])) is not None:
+        inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
+        if (start := _below(inside, missing[0])) is not None:
             raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
             hint = "Name the frames as the model does: folders, endings, upper and lower case matter."
@@ -93,13 +94,14 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     return best, missing
 
 
-def _below(folder: Path, name: str) -> Path | None:
-    """A folder that has the image `name`, one or two levels below `folder`."""
-    with suppress(OSError):  # one of them cannot be read
-        for level in ("*", "*/*"):
-            for place in sorted(folder.glob(level)):
-                if file_in(place, name) is not None:
-                    return place
+def _below(folders: Sequence[Path], name: str) -> Path | None:
+    """A folder that has the image `name`, one or two levels below one of `folders`."""
+    for folder in folders:
+        with suppress(OSError):  # one of them cannot be read
+            for level in ("*", "*/*"):
+                for place in sorted(folder.glob(level)):
+                    if file_in(place, name) is not None:
+                        return place
     return None
 
 
