@@ -769,7 +769,7 @@ def test_forged_values(model_bin, what):
 @pytest.mark.parametrize("form", ["bin", "txt"])
 @pytest.mark.parametrize("stored", [1.3e154, -1.0])
 def test_the_error_of_a_point_may_be_any_number(plain, tmp_path, form, stored):
-    """COLMAP gives a point behind one of its cameras the root of the largest double, or a share of it; -1 is unknown."""
+    """COLMAP gives a point behind a camera the root of the largest double, or a share of it; -1 is unknown."""
     model = pycolmap.Reconstruction(plain)
     for number in sorted(model.points3D)[::5]:
         model.points3D[number].error = stored
