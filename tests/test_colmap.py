@@ -13,6 +13,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -340,6 +341,9 @@ def test_the_folder_below_that_has_the_frames_is_told(plain, model_bin, tmp_path
     put_frames(plain, tmp_path / "photos" / below)
     with pytest.raises(InputError, match=rf"(?s)00.png, and it lies in .*--images .*photos/{below}\."):
         ColmapSource.open(model_bin, images=tmp_path / "photos")
+    (tmp_path / "photos").rename(tmp_path / "images")
+    with pytest.raises(InputError, match=rf"(?s)00.png, and it lies in .*--images .*images/{below}\."):
+        ColmapSource.open(model_bin)
 
 
 def test_frames_and_database_beside_a_link(plain, tmp_path):
@@ -392,6 +396,30 @@ def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
         ColmapSource.open(folder)
     with pytest.raises(InputError, match=r"cameras.bin is not a folder"):
         ColmapSource.open(folder, folder / "cameras.bin")
+
+
+@pytest.mark.parametrize("folder", ["", "Flug über/Köln/"])
+def test_names_with_letters_of_two_characters_are_told(plain, tmp_path, folder):
+    """The model has each marked letter as one character, the disk as two, or the other way: they look alike."""
+    for model, disk in (("NFC", "NFD"), ("NFD", "NFC")):
+        place = tmp_path / model
+        where = renamed(plain, place / "m", "bin", lambda name, form=model: normalize(form, f"{folder}ä {name}"))
+        put_frames(plain, place / "plain")
+        for frame in sorted((place / "plain").iterdir()):
+            target = place / "images" / normalize(disk, f"{folder}ä {frame.name}")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            frame.rename(target)
+        with pytest.raises(InputError, match=r"00.png has another name") as caught:
+            ColmapSource.open(where)
+        assert "as two characters" in caught.value.hint
+
+
+def test_a_folder_of_another_case_is_told(plain, tmp_path):
+    folder = renamed(plain, tmp_path / "m", "bin", lambda name: f"flight/{name}")
+    put_frames(plain, tmp_path / "images/Flight")
+    with pytest.raises(InputError, match=r"images/Flight/00.png has another name") as caught:
+        ColmapSource.open(folder)
+    assert "case" in caught.value.hint
 
 
 @pytest.mark.parametrize(
@@ -713,6 +741,7 @@ FORGED = {
     "point id": ("points3D.bin", 8, "Q", 10**9, "not in points3D.bin"),
     "point NaN": ("points3D.bin", 16, "d", np.nan, "not a finite number"),
     "point infinite": ("points3D.bin", 32, "d", -np.inf, "not a finite number"),
+    "point's error NaN": ("points3D.bin", 43, "d", np.nan, "not a finite number"),
     "track length": ("points3D.bin", 51, "Q", 2**62, "file ends"),
     "track image": ("points3D.bin", 59, "I", 999, "image 999, which does not exist"),
     "track observation": ("points3D.bin", 63, "I", 10**6, "observation 1000000 of image"),
@@ -735,6 +764,22 @@ def test_forged_values(model_bin, what):
     assert said in error.message
     if name == "images.bin" and "name" not in what:
         assert "00.png" in error.message or "image 1" in error.message
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+@pytest.mark.parametrize("stored", [1.3e154, -1.0])
+def test_the_error_of_a_point_may_be_any_number(plain, tmp_path, form, stored):
+    """COLMAP gives a point behind a camera the root of the largest double, or a share of it; -1 is unknown."""
+    model = pycolmap.Reconstruction(plain)
+    for number in sorted(model.points3D)[::5]:
+        model.points3D[number].error = stored
+    source = ColmapSource.open(save(model, tmp_path / "model", form), need_images=False)
+    other = ColmapSource.open(save(plain, tmp_path / "plain", form), need_images=False)
+    assert source.camera_height == other.camera_height
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    written = pycolmap.Reconstruction(str(tmp_path / "out")).points3D
+    assert written[min(written)].error == stored
 
 
 def test_empty_tables(model_bin):

@@ -42,6 +42,21 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert "that of the most certain side alone, a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
+def test_a_contradiction_says_what_to_check():
+    """Only what there is: whoever gave no distance has none to check."""
+    flown = Evidence(BY_GPS, 0.14, 0.01, "GPS positions of 10 frames")
+    taped = known_distance(np.array([(0.0, 0.0), (1000.0, 0.0)]), 140.0)
+    court = Evidence("court", 0.2, 0.01, "a court")
+    hint = combined(VEHICLES, PARTS, [flown]).remarks[0].hint
+    assert hint == (
+        "Check the GPS positions (they may be from another flight; --no-gps leaves them out) and the boxes "
+        "(--save-detections)"
+    )
+    assert "mistyped" in combined(VEHICLES, PARTS, [taped]).remarks[0].hint
+    assert "(--anchors) and the boxes" in combined(VEHICLES, PARTS, [flown, court]).remarks[0].hint
+    assert "boxes" not in combined(None, {}, [flown, court]).remarks[0].hint
+
+
 def test_what_contradicts_is_said_once():
     """And what only does not count beside it, as what it is."""
     court = Evidence.mixed("court", Posterior.normal(np.log(0.14), 0.01), ["a court"], doubt=0.01)

@@ -4,6 +4,8 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
+from datetime import timedelta
 
 import numpy as np
 import pytest
@@ -80,6 +82,13 @@ def test_a_result_as_plain_values_is_the_report(park, result):
     written = json.loads((park / "scaled.tif.json").read_text())
     told = json.loads(json.dumps(result.to_dict()))
     assert told["vehicles"] == written["vehicles"] and told["scale"] == written["scale"]
+
+
+def test_all_reports_of_a_result_say_the_same_time(result):
+    """That of the measurement, not that of each report."""
+    earlier = replace(result, created=result.created - timedelta(days=1))
+    assert result.to_dict()["created"] == result.created.isoformat(timespec="seconds")
+    assert earlier.to_dict()["created"] == earlier.created.isoformat(timespec="seconds")
 
 
 def test_check_is_public(park):

@@ -22,10 +22,6 @@ from .normal import Z90
 from .pooling.posterior import Posterior
 from .remarks import CAUTION, INFO, REFUSAL, Remark, percent
 
-CONFLICT_HINT = (
-    "Check the given evidence (a distance may be mistyped, or not on the ground), the anchors (--anchors) and the "
-    "boxes (--save-detections)"
-)
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a false find up to which an anchor may contradict others
 # Probability of the vehicles' interval outside of which an anchor does not count by itself. It reaches CONFLICT_LIMIT
@@ -44,6 +40,13 @@ MAY_BE = {  # by kind, what may be wrong with evidence that does not fit the res
     BY_GPS: "the positions may be from another flight",
     BY_MAP: "the place on the map may be wrong",
 }
+CHECK = {  # by kind, what to check where measurements contradict each other
+    BY_DISTANCE: "the known distance (it may be mistyped, or not on the ground)",
+    BY_CONTROL: "the ground control (its points may be mistyped, or in another grid)",
+    BY_GPS: "the GPS positions (they may be from another flight; --no-gps leaves them out)",
+    BY_MAP: "the place on the map (--against)",
+}
+CHECK_ANCHORS, CHECK_BOXES = "the anchors (--anchors)", "the boxes (--save-detections)"
 OF_ANCHORS = "it may follow another standard, or be something else"
 
 
@@ -239,10 +242,17 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     posterior, summary = _spanning([p for _, p in every], surest)
     told = tuple(e.meant(before) for e in evidence)
     whose = Remark(CAUTION, f"the scale is that of the most certain side alone, {name}; the interval covers all")
-    refusals = [Remark(REFUSAL, f"conflict: {figures}", CONFLICT_HINT) for figures in conflicts]
+    refusals = [Remark(REFUSAL, f"conflict: {figures}", _hint(vehicles, strong)) for figures in conflicts]
     remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
     return Combined(posterior, parts, conflict, remarks, summary, told, support)
+
+
+def _hint(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> str:
+    """What to check where the scale by `vehicles`, if there are any, and by `evidence` contradict each other."""
+    what = list(dict.fromkeys(CHECK.get(e.kind, CHECK_ANCHORS) for e in evidence))
+    *others, last = what if vehicles is None else [*what, CHECK_BOXES]
+    return f"Check {', '.join(others)} and {last}" if others else f"Check {last}"
 
 
 def _anything(evidence: Sequence[Evidence]) -> Posterior:

@@ -6,7 +6,6 @@ import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
-from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -132,7 +131,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
         "versions": _versions(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": of.created.isoformat(timespec="seconds"),
         "seconds": round(of.seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }

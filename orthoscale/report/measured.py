@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from ..core.detections import Detections
@@ -24,7 +25,7 @@ class MeasuredSource:
 
     zoom_choice : result of the scale search, None if the zoom was given. seconds : duration. settings : the options as
     plain values, to repeat the measurement. anchors : those that were found. on_map : where the source lies on the map
-    of --against.
+    of --against. created : when it was measured, of which all its reports say the same.
     """
 
     source: Source
@@ -37,6 +38,7 @@ class MeasuredSource:
     settings: dict[str, Any] = field(default_factory=dict)
     anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
     on_map: OnMap = field(default_factory=OnMap, repr=False)
+    created: datetime = field(default_factory=lambda: datetime.now(UTC), repr=False, compare=False)
 
     @property
     def remarks(self) -> list[Remark]:

@@ -258,7 +258,8 @@ def _check_points(tables: Tables) -> None:
             "no points",
             "The ground is found from sparse points: triangulate them (point_triangulator).",
         )
-    sane = (np.abs(points.values) <= FARTHEST).all(1)
+    # The error has no limit: COLMAP gives a point behind one of its cameras that of the largest double.
+    sane = (np.abs(points.values[:, :3]) <= FARTHEST).all(1) & np.isfinite(points.values[:, 3])
     if not sane.all():
         what = f"point {points.ids[~sane][0]} has a value that is not a finite number, or beyond {FARTHEST:g}"
         raise damaged(str(points.path), what)

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from contextlib import suppress
 from mimetypes import guess_type
-from pathlib import Path, PurePath, PureWindowsPath
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
 
 from ..core.remarks import CAUTION, INFO, Remark
@@ -76,13 +76,17 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             raise InputError(
                 f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
             )
-        if given is not None and (start := _below(given, missing[0])) is not None:
+        inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
+        if (start := _below(inside, missing[0])) is not None:
             raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
-            raise InputError(
-                f"{what}, but {near} has another name",
-                "Name the frames as the model does: folders, endings, upper and lower case matter.",
-            )
+            hint = "Name the frames as the model does: folders, endings, upper and lower case matter."
+            if _composed(near.as_posix()).endswith(_composed(PureWindowsPath(missing[0]).as_posix())):
+                hint = (
+                    "They look alike, but one has its marked letters (such as umlauts) as two characters each, as "
+                    "macOS writes them: name the frames anew, or as the model does."
+                )
+            raise InputError(f"{what}, but {near} has another name", hint)
         raise InputError(
             f"{what}; looked in {given or above}",
             "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
@@ -90,26 +94,41 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     return best, missing
 
 
-def _below(folder: Path, name: str) -> Path | None:
-    """A folder that has the image `name`, one or two levels below `folder`."""
-    with suppress(OSError):  # one of them cannot be read
-        for level in ("*", "*/*"):
-            for place in sorted(folder.glob(level)):
-                if file_in(place, name) is not None:
-                    return place
+def _below(folders: Sequence[Path], name: str) -> Path | None:
+    """A folder that has the image `name`, one or two levels below one of `folders`."""
+    for folder in folders:
+        with suppress(OSError):  # one of them cannot be read
+            for level in ("*", "*/*"):
+                for place in sorted(folder.glob(level)):
+                    if file_in(place, name) is not None:
+                        return place
     return None
 
 
 def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
-    """A picture in one of `places` whose name differs from the image `name` only in its folder, ending or case."""
-    wanted = _bare(PureWindowsPath(name))
+    """A picture in one of `places` whose name differs from the image `name` only in its folder, ending or case, or in
+    how its marked letters are written; in folders of that name, too."""
+    wanted, above = _bare(PureWindowsPath(name).stem), PureWindowsPath(name).parts[:-1]
     for place in places:
-        with suppress(OSError):  # no folder, or it cannot be read
-            for path in sorted(place.iterdir()):
-                if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
+        folders = [place]
+        for part in above:  # the folders of the name, however their letters are written
+            folders += [below for below in _inside(folders[-1]) if _bare(below.name) == _bare(part)][:1]
+        for folder in folders:
+            for path in _inside(folder):
+                if _bare(path.stem) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
                     return path
     return None
 
 
-def _bare(path: PurePath) -> str:
-    return unicodedata.normalize("NFC", path.stem).casefold()  # macOS writes letters with marks as two
+def _inside(folder: Path) -> list[Path]:
+    with suppress(OSError):  # no folder, or it cannot be read
+        return sorted(folder.iterdir())
+    return []
+
+
+def _composed(text: str) -> str:
+    return unicodedata.normalize("NFC", text)  # macOS writes letters with marks as two
+
+
+def _bare(text: str) -> str:
+    return _composed(text).casefold()
