@@ -455,7 +455,13 @@ def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, mon
     program = (
         "import signal; from orthoscale.actions import many\n"
         "whole = many.one\n"
-        "many.one = lambda job: (whole(job), signal.pause() if 'b.png' in job['input'] else None)[0]\n"
+        "def one(job):\n"
+        "    row = whole(job)\n"
+        "    if 'b.png' in job['input']:\n"
+        "        open(job['out'] + '.made', 'w').close()\n"
+        "        signal.pause()\n"
+        "    return row\n"
+        "many.one = one\n"
         "many.serve()"
     )
     popen = many.subprocess.Popen
@@ -465,7 +471,7 @@ def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, mon
 
     def stop(row):
         until = time.monotonic() + 60
-        while not (out / "b.tif").exists() and time.monotonic() < until:
+        while not (out / "b.tif.made").exists() and time.monotonic() < until:
             time.sleep(0.01)
         raise KeyboardInterrupt
 
@@ -473,6 +479,26 @@ def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         many.run_many("fix", Named([parks / "pictures/*.png"]).inputs, request, out, 1, stop)
     assert many.stopping.written == [str(out / "a.tif"), str(out / "b.tif")]
+
+
+def test_a_process_ends_also_if_a_library_swallows_the_stop(parks, monkeypatch):
+    """It waited for a next job, and the program for its end."""
+    program = (
+        "import os, signal\n"
+        "from orthoscale.actions import many\n"
+        "def one(job):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        signal.pause()\n"
+        "    except KeyboardInterrupt:\n"
+        "        return dict.fromkeys(many.COLUMNS) | {'input': job['input'], 'exit_code': 0}\n"
+        "many.one = one\n"
+        "many.serve()"
+    )
+    popen = many.subprocess.Popen
+    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
+    assert row["exit_code"] == 1 and "was stopped" in row["error"]
 
 
 def test_what_speaks_of_one_input_is_refused(parks):

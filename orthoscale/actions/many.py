@@ -316,6 +316,7 @@ def serve() -> None:
             logging.getLogger("orthoscale").setLevel(head["log"])
             try:
                 row = _one_within(head["memory"], job := head["job"])
+                stopping.check()  # a library may have swallowed it, and the next job would never come
             except KeyboardInterrupt:
                 there = job["out"] if job["out"] in stopping.written else None
                 send(answers, {**_died(job, "was stopped"), "output": there})
