@@ -19,6 +19,7 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ STEEP = 78.0  # [degrees] from here on a flight looks straight down
 
 @dataclass(frozen=True)
 class Flight:
-    """What is drawn for one flight. pitch, slope : [degrees]; altitude, extent [m]; focal [px]."""
+    """What is drawn for one flight. pitch, slope : [degrees]; altitude [m]; focal [px]; unit : metres per unit."""
 
     fleet: str
     style: str
@@ -120,37 +121,26 @@ def row(name: str, some: list[dict[str, Any]]) -> list[str]:
     without = error + 100 * np.array([o["stray"] for o in some])
     held = np.mean([o["low"] <= 0 <= o["high"] for o in some])
     half = 50 * np.mean([o["high"] - o["low"] for o in some])
-    rms = [f"{np.sqrt(np.mean(e**2)):.1f}" for e in (error, without)]
-    modes = []
-    for mode in ("oblique", "planar"):
-        each = [100 * (o["modes"][mode] + o["stray"]) for o in some if mode in o["modes"]]
-        modes.append(f"{np.mean(each):+.1f}, {np.sqrt(np.mean(np.square(each))):.1f}" if each else "")
-    mean = [f"{error.mean():+.1f}", f"{without.mean():+.1f}"]
-    return [
-        name,
-        str(len(some)),
-        f"{mean[0]}, {rms[0]}",
-        f"{mean[1]}, {rms[1]}",
-        f"{half:.1f}",
-        f"{100 * held:.0f} %",
-        *modes,
-    ]
+    modes = (
+        [100 * (o["modes"][mode] + o["stray"]) for o in some if mode in o["modes"]] for mode in ("oblique", "planar")
+    )
+    ends = [mean_and_rms(each) for each in (error, without, *modes)]
+    return [name, str(len(some)), *ends[:2], f"{half:.1f}", f"{100 * held:.0f} %", *ends[2:]]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--flights", type=int, default=32)
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", default=Path(tempfile.gettempdir()) / "rendered_flights")
-    asked = parser.parse_args()
-    asked.keep.mkdir(parents=True, exist_ok=True)
-    rows_file = asked.keep / "rows.jsonl"
+def mean_and_rms(error: Sequence[float] | np.ndarray) -> str:
+    return f"{np.mean(error):+.1f}, {np.sqrt(np.mean(np.square(error))):.1f}" if len(error) else ""
+
+
+def main(first: int, count: int, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    rows_file = folder / "rows.jsonl"
     kept = dict(json.loads(line) for line in rows_file.read_text().splitlines()) if rows_file.exists() else {}
     done = []
-    for number in range(asked.first, asked.first + asked.flights):
-        flight, folder = Flight.drawn(number), asked.keep / f"flight_{number:02d}"
+    for number in range(first, first + count):
+        flight, model = Flight.drawn(number), folder / f"flight_{number:02d}"
         if number not in kept:
-            kept[number] = measured(folder, flight, rendered(number, flight, folder))
+            kept[number] = measured(model, flight, rendered(number, flight, model))
             with rows_file.open("a") as file:
                 file.write(json.dumps([number, kept[number]]) + "\n")
         outcome = kept[number]
@@ -163,18 +153,15 @@ def main() -> None:
         "sloping ground": [o for f, o in done if f.slope],
         "all": [o for _, o in done],
     }
-    head = [
-        "",
-        "flights",
-        "error: mean, RMS",
-        "without the place's stray",
-        "half interval",
-        "holds",
-        "oblique",
-        "planar",
-    ]
-    print(table(head, [row(name, some) for name, some in groups.items() if some]))
+    head = ["", "flights", "error: mean, RMS", "without the place's stray", "half interval", "holds"]
+    print(table([*head, "oblique", "planar"], [row(name, some) for name, some in groups.items() if some]))
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--flights", type=int, default=32)
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        main(options.first, options.flights, options.keep or Path(scratch))

@@ -420,6 +420,12 @@ def test_a_copy_that_was_damaged_is_not_taken_for_made(batch):
     assert "a.tif has changed since it was made" in done.stderr
 
 
+def stand_in(monkeypatch, program):
+    """Let the Python `program` be the process that does the jobs."""
+    popen = many.subprocess.Popen
+    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+
+
 @pytest.mark.slow
 def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     """The stand-in dies at one input, as a process does that the kernel kills for its memory."""
@@ -429,8 +435,7 @@ def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
         "many.one = lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else whole(job)\n"
         "many.serve()"
     )
-    popen = many.subprocess.Popen
-    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    stand_in(monkeypatch, program)
     request = EstimateRequest(fleet="DE", detections=parks / "boxes.json")
     rows = many.run_many("estimate", Named([parks / "pictures/*.png"]).inputs, request)
     assert [row["exit_code"] for row in rows] == [1, 0] and "ended with -9" in rows[0]["error"]
@@ -464,8 +469,7 @@ def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, mon
         "many.one = one\n"
         "many.serve()"
     )
-    popen = many.subprocess.Popen
-    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    stand_in(monkeypatch, program)
     monkeypatch.setattr(many.stopping, "written", [])
     out = tmp_path / "out"
 
@@ -495,8 +499,7 @@ def test_a_process_ends_also_if_a_library_swallows_the_stop(parks, monkeypatch):
         "many.one = one\n"
         "many.serve()"
     )
-    popen = many.subprocess.Popen
-    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    stand_in(monkeypatch, program)
     (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
     assert row["exit_code"] == 1 and "was stopped" in row["error"]
 

@@ -65,6 +65,5 @@ def of_height(alone: np.ndarray, left: np.ndarray | float = 1.0) -> Systematic:
     by_card = alone * left
     by_fit = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))
     causes = {ENDS: (by_card[0], 0.0), SIDES: (0.0, by_card[1])}
-    if by_fit.any():
-        causes |= {FITTED_ENDS: (by_fit[0], 0.0), FITTED_SIDES: (0.0, by_fit[1])}
+    causes |= {FITTED_ENDS: (by_fit[0], 0.0), FITTED_SIDES: (0.0, by_fit[1])}
     return Systematic(shared={cause: np.array(error) for cause, error in causes.items()})
