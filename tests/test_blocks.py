@@ -13,12 +13,15 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring import oblique
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.joining import united
+from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.systematic import ENDS, FITTED_ENDS, FITTED_SIDES, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source
+from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
@@ -250,3 +253,65 @@ def test_boxes_that_the_margin_may_be_all_of_are_too_little_evidence(share):
     tiny = {name: replace(b, xylwa=b.xylwa * [1, 1, share, share, 1]) for name, b in block.found.boxes.items()}
     with pytest.raises(TooLittleEvidence, match="boxes that fit a vehicle, 5 are needed"):
         measure_source(block.source, replace(block.found, boxes=tiny), FLEET, mode="oblique")
+
+
+# --- Parts that share no point ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def of_two_parts():
+    """A block, as if its first and its other frames shared no point."""
+    block = fly(np.random.default_rng(8), FLEET, Conditions("grid", vehicles=60), unsure=False)
+    names = block.source.picture_names
+    halves = tuple(names[:25]), tuple(names[25:])
+    return replace(block, source=replace(block.source, _parts=halves)), halves
+
+
+def larger(found, names, factor):
+    """`found` with boxes `factor` times as large in the frames `names`."""
+    boxes = {
+        name: Boxes(some.xylwa * [1, 1, factor, factor, 1], some.score) if name in names else some
+        for name, some in found.boxes.items()
+    }
+    return replace(found, boxes=boxes, planar=None)
+
+
+@pytest.mark.slow
+def test_parts_of_one_scale_agree(of_two_parts):
+    block, halves = of_two_parts
+    measured = measure_source(block.source, block.found, FLEET)
+    assert [list(part.images) for part in sorted(measured.parts.known, key=lambda p: p.images)] == sorted(
+        map(list, halves)
+    )
+    assert all(p.scale.value == pytest.approx(block.metres_per_unit, rel=0.03) for p in measured.parts.known)
+    whole = measure_source(replace(block.source, _parts=()), block.found, FLEET)
+    assert measured.scale == replace(whole.scale, used=measured.scale.used) and whole.parts is None
+    assert "Parts that share no point agree" in [j.what for j in judgements(measured) if j.severity == SUPPORT]
+
+
+@pytest.mark.slow
+def test_parts_of_different_scales_are_refused(of_two_parts):
+    block, halves = of_two_parts
+    measured = measure_source(block.source, larger(block.found, halves[1], 1.3), FLEET)
+    assert measured.scale.verdict == UNUSABLE
+    low, high = measured.scale.interval90
+    assert low < block.metres_per_unit / 1.3 < block.metres_per_unit < high
+    said = [(j.what, j.detail) for j in judgements(measured) if j.severity == REFUSAL and "arts" in j.what + j.detail]
+    assert [what for what, _ in said] == ["Parts have different scales"] and halves[1][0] in said[0][1]
+    (refusal,) = [r for r in measured.remarks if r.severity == REFUSAL and "share no point" in r.text]
+    assert "image_deleter" in refusal.hint
+
+
+@pytest.mark.slow
+def test_a_part_without_vehicles_is_named_and_doubted(of_two_parts):
+    block, halves = of_two_parts
+    boxes = {name: some for name, some in block.found.boxes.items() if name in halves[0]}
+    found = replace(block.found, boxes=boxes, planar=None)
+    measured = measure_source(block.source, found, FLEET)
+    assert len(measured.parts.unknown) == 1
+    text = f"({halves[1][0]} ...) have too few vehicles"
+    assert [r.severity for r in measured.remarks if text in r.text] == [CAUTION]
+    parts, good = measured.parts, replace(measured.scale, verdict="good")
+    assert parts.judged(good).verdict == "fair"
+    few = replace(parts.unknown[0], images=halves[1][:1])
+    assert replace(parts, unknown=(few,)).judged(good) == good

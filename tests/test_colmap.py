@@ -504,7 +504,7 @@ def test_pickled_as_its_path(plain, model_bin, tmp_path, monkeypatch):
 @pytest.mark.parametrize("form", ["bin", "txt"])
 def test_parts_that_share_no_point(plain, tmp_path, form):
     two = pycolmap.Reconstruction(plain)
-    assert open_model(save(two, tmp_path / "one", form)).parts == (12,)
+    assert [len(part) for part in open_model(save(two, tmp_path / "one", form)).parts] == [12]
     other = make_model()[0]
     other.transform(pycolmap.Sim3d(3.0, pycolmap.Rotation3d(), np.array([500.0, 300, 0])))
     for image in other.images.values():
@@ -514,7 +514,18 @@ def test_parts_that_share_no_point(plain, tmp_path, form):
     for point in other.points3D.values():
         track = [pycolmap.TrackElement(100 + e.image_id, e.point2D_idx) for e in point.track.elements]
         two.add_point3D(point.xyz, pycolmap.Track(track), point.color)
-    notes = ColmapSource.open(save(two, tmp_path / "two", form), need_images=False).notes
+    source = ColmapSource.open(save(two, tmp_path / "two", form), need_images=False)
+    first, second = sorted(source.parts, key=lambda part: part.picture_names)
+    assert {*first.picture_names, *second.picture_names} == set(source.picture_names)
+    assert all(
+        name.startswith("b") != other.startswith("b") for name in first.picture_names for other in second.picture_names
+    )
+    assert np.ptp(second.sparse[0], axis=0) in (
+        pytest.approx(3 * np.ptp(first.sparse[0], axis=0)),
+        pytest.approx(np.ptp(first.sparse[0], axis=0) / 3),
+    )
+    assert not source.parts[0].parts and not ColmapSource.open(tmp_path / "one", need_images=False).parts
+    notes = source.notes
     assert [note.severity for note in notes if "share no point (12 and 12 images)" in note.text] == [CAUTION]
 
 

@@ -255,11 +255,14 @@ class GroundView(Picture, Protocol):
 class PosedSet(Source, Protocol):
     """A reconstruction: pictures whose poses are known up to a scale. Lengths are in model units.
 
-    ground : under its cameras. focal : how far its focal length can be trusted.
+    ground : under its cameras. focal : how far its focal length can be trusted. parts : those that share no point with
+    each other, each as a reconstruction of its own, the largest first; none if it holds together.
     """
 
     @property
     def ground(self) -> Ground: ...
+    @property
+    def parts(self) -> Sequence[PosedSet]: ...
     @property
     def focal(self) -> FocalDoubt: ...
     @property

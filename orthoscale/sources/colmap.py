@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -72,6 +73,7 @@ class ColmapSource:
     unit: str = "m/model-unit"
     cloud: DenseCloud | None = None
     _stamps: tuple[Stamp, ...] = ()  # of the files, before they were read
+    _parts: tuple[tuple[str, ...], ...] = ()  # as in `ModelFiles`
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
@@ -89,7 +91,8 @@ class ColmapSource:
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
         if len(files.parts) > 1:
-            sizes = f"{', '.join(map(str, files.parts[:-1]))} and {files.parts[-1]} images"
+            *most, last = (str(len(part)) for part in files.parts)
+            sizes = f"{', '.join(most)} and {last} images"
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
         if need_images:
@@ -98,11 +101,25 @@ class ColmapSource:
             notes.append(Remark(INFO, note))
         images = None if images is None else Path(images)
         found = files.folder, files.format, pictures, notes, files.paths, model
-        return cls(Path(path), *found, images, need_images, _stamps=files.stamps)
+        return cls(Path(path), *found, images, need_images, _stamps=files.stamps, _parts=files.parts)
 
     def on_cloud(self, cloud: DenseCloud) -> Self:
         """The same source, with its ground found from the dense `cloud`. Raises InputError."""
         return replace(self, cloud=cloud, _stamps=(*self._stamps, *map(Stamp.of, cloud.files)))
+
+    @cached_property
+    def parts(self) -> list[ColmapSource]:
+        """Its parts that share no point with each other, each with its own images and points; none if it holds
+        together."""
+        return [self._part(images) for images in self._parts] if len(self._parts) > 1 else []
+
+    def _part(self, images: tuple[str, ...]) -> ColmapSource:
+        model, names = copy(self._model), set(images)
+        for frame in model.reg_frame_ids():
+            if not any(model.image(data.id).name in names for data in model.frame(frame).image_ids):
+                model.deregister_frame(frame)
+        pictures = [picture for picture in self.pictures if picture.name in names]
+        return replace(self, _model=model, pictures=pictures, notes=[], cloud=None, _parts=())
 
     def __reduce__(self) -> tuple:
         """Pickled as its path, since pycolmap's models cannot be pickled: they are read again from their files."""

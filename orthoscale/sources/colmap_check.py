@@ -45,8 +45,8 @@ class ModelFiles:
     """A COLMAP model on disk whose files have been checked and are sound.
 
     folder : where it lies. format : 'bin' or 'txt'. paths : its files. stamps : of these, before they were read.
-    seen : a sample of the images' observations. parts : numbers of images in parts of the model that share no point
-    with the rest, of two images or more.
+    seen : a sample of the images' observations. parts : names of the images in each part of the model that shares no
+    point with the rest, the largest first, of two images or more.
     notes : what was chosen or left out on the way, for the report.
     """
 
@@ -55,7 +55,7 @@ class ModelFiles:
     paths: tuple[Path, ...]
     stamps: tuple[Stamp, ...]
     seen: Observations
-    parts: tuple[int, ...]
+    parts: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
 
 
@@ -315,18 +315,23 @@ def _seen(tables: Tables) -> Observations:
     return observations([image.name for image in tables.images], pairs())
 
 
-def _parts(tables: Tables) -> tuple[int, ...]:
-    """Numbers of images in the parts of a model that share no point with each other, the largest first. Images that
-    share no point with any other are left out."""
-    count, points = len(tables.images), tables.points
+def _parts(tables: Tables) -> tuple[tuple[str, ...], ...]:
+    """Names of the images in the parts of a model that share no point with each other, the largest part first. Images
+    of one frame of a rig are in one part; those that share no point with any other are left out."""
+    points, frames = tables.points, (tables.frames or {}).values()
+    rigs = [[data for kind, _, data in frame.data if kind == CAMERA_SENSOR] for frame in frames]
+    seen = np.concatenate([points.tracks[:, 0], *rigs]).astype(int)  # image ids, of each point and then of each frame
+    by = np.concatenate([points.track_of, len(points.ids) + np.repeat(np.arange(len(rigs)), [len(r) for r in rigs])])
     ids = np.array([image.id for image in tables.images])
-    order = np.argsort(ids)
-    image = order[np.searchsorted(ids[order], points.tracks[:, 0])]
-    nodes = count + len(points.ids)
-    links = coo_array((np.ones(len(image), bool), (image, count + points.track_of)), shape=(nodes, nodes))
+    order, count = np.argsort(ids), len(ids)
+    image = order[np.searchsorted(ids[order], seen)]
+    nodes = count + len(points.ids) + len(rigs)
+    links = coo_array((np.ones(len(image), bool), (image, count + by.astype(int))), shape=(nodes, nodes))
     _, part = connected_components(links, directed=False)
-    sizes = np.sort(np.bincount(part[:count]))[::-1]
-    return tuple(sizes[sizes > 1].tolist())
+    names: dict[int, list[str]] = {}
+    for row, number in zip(tables.images, part[:count].tolist(), strict=True):
+        names.setdefault(number, []).append(row.name)
+    return tuple(sorted((tuple(sorted(some)) for some in names.values() if len(some) > 1), key=len, reverse=True))
 
 
 def _check_rigs(tables: Tables, rigs: dict[int, RigRow], frames: dict[int, FrameRow]) -> None:

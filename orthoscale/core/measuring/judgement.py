@@ -33,10 +33,11 @@ def judgements(
 
     claim : comparison with the scale that the source claims. remarks : all remarks; by default those of `measured`.
     """
-    made = (_vehicles, _shapes, _modes, _evidence, _places, _frames)
+    made = (_vehicles, _shapes, _modes, _evidence, _places, _frames, _parts)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
-    # The checks `_places` and `_frames` state the drift; its warnings are not repeated as remarks.
-    told = () if measured.drift is None else measured.drift.warnings
+    # The checks `_places`, `_frames` and `_parts` state the drift and the parts' scales, which are not repeated.
+    told = [] if measured.drift is None else list(measured.drift.warnings)
+    told += [] if measured.parts is None else [measured.parts.contradiction]
     remarks = measured.remarks if remarks is None else remarks
     said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
     return by_severity([*found, *_largest(measured), *(Judgement(r.severity, "Remark", r.text) for r in said)])
@@ -145,3 +146,14 @@ def _largest(measured: Measurement) -> Iterator[Judgement]:
         part = explain(scale.parts, scale.vehicles_used, scale.fleet).parts[0]
         share = f"{100 * part.relative_sd:.1f} of {percent(scale.relative_sd)} (1 sigma)"
         yield Judgement(INFO, f"Largest uncertainty: {part.name}", f"{share}: {part.meaning}")
+
+
+def _parts(measured: Measurement) -> Judgement | None:
+    parts = measured.parts
+    if parts is None or len(parts.known) < 2:
+        return None
+    if parts.contradict:
+        return Judgement(REFUSAL, "Parts have different scales", parts.said)
+    if parts.difference > max(measured.scale.half_width, ROUGH):
+        return Judgement(INFO, "Parts differ within their uncertainty", parts.said)
+    return Judgement(SUPPORT, "Parts that share no point agree", parts.said)

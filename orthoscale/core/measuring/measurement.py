@@ -19,6 +19,7 @@ from ..scale import Scale
 from ..votes import Votes
 from .drift import Drift
 from .model_drift import ModelDrift
+from .parts import Parts
 from .systematic import Systematic
 from .vehicles import vehicle_table
 
@@ -70,7 +71,8 @@ class Measurement:
     became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
     projection : name of the projection used. findings : what else the boxes show. pooled : the other inputs of
     pooling. modes : the measurement in each mode of a posed set, by its name; empty for other sources.
-    agreement : of the two modes, where both were measured. notes : what could not be done.
+    agreement : of the two modes, where both were measured. parts : those of a posed set that share no point, None
+    without any. notes : what could not be done.
     """
 
     boxes: Boxes
@@ -84,6 +86,7 @@ class Measurement:
     pooled: Pooled = field(default_factory=Pooled)
     modes: Mapping[str, Measurement] = field(default_factory=dict)
     agreement: Agreement | None = None
+    parts: Parts | None = None
     notes: tuple[str, ...] = ()
 
     @cached_property

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...errors import TooLittleEvidence, UsageError
+from ...errors import InputError, TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import alone, compare, of_scales, together
@@ -26,6 +26,7 @@ from .measure import doubts, measure
 from .measurement import Measurement
 from .method import Method
 from .oblique import FramesGeometry, card_of, shown_in_frames
+from .parts import Parts, PartScale, found_in
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 from .plausibility import plausible
@@ -57,10 +58,31 @@ def measure_posed(
 
     By default both modes are tried. If one has too little evidence, the other is used alone; otherwise they are pooled,
     each vehicle once, and `Measurement.agreement` compares them. If they contradict each other they are not pooled: the
-    more certain one gives the value, its verdict is ``unusable``, and its interval covers both. Raises
-    TooLittleEvidence, UsageError.
+    more certain one gives the value, its verdict is ``unusable``, and its interval covers both. Parts of `source` that
+    share no point are compared by the vehicles in their frames (`Measurement.parts`).
+
+    Raises TooLittleEvidence, UsageError.
     """
     method = method or Method()
+    whole = _in_modes(source, found, fleet, method, mode)
+    if not source.parts:
+        return whole
+    parts = Parts.of(_part(part, found, fleet, method) for part in source.parts)
+    return replace(whole, scale=parts.judged(whole.scale), parts=parts)
+
+
+def _part(part: PosedSet, found: Detections, fleet: Fleet, method: Method) -> PartScale:
+    """The scale of a `part` of a reconstruction by the vehicles `found` in its frames, on its own ground."""
+    images = part.picture_names
+    by_vehicles = replace(method, evidence=(), anchors=(), standards=None)
+    try:
+        return PartScale(images, _in_modes(part, found_in(set(images), found), fleet, by_vehicles, OBLIQUE).scale)
+    except (TooLittleEvidence, InputError):  # InputError: its few points show no ground
+        return PartScale(images, None)
+
+
+def _in_modes(source: PosedSet, found: Detections, fleet: Fleet, method: Method, mode: str | None) -> Measurement:
+    """As `measure_posed`, with all parts of `source` taken for one."""
     if mode in (PLANAR, BOTH) and found.planar is None:
         raise UsageError(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
