@@ -16,10 +16,10 @@ from ..scale import Scale
 from ..verdicts import AT_BEST_DOUBTED, UNUSABLE
 from .surface import LOTS_SD
 
-OWN = ("sampling", "geometry")  # parts of the uncertainty that two parts of a model do not share
-NAMED = 4  # how many parts are named
-SMALL = 0.05  # share of the images below which a part without a scale of its own leaves the verdict as it is
-TO_MEND = "Save each part as a model of its own (colmap image_deleter), and fix each by itself"
+NOT_SHARED = ("sampling", "geometry")  # parts of the uncertainty that two parts of a model do not share
+PARTS_NAMED = 4  # how many parts are named
+FEW_IMAGES = 0.05  # share of the images below which a part without a scale of its own leaves the verdict as it is
+SPLIT_HINT = "Save each part as a model of its own (colmap image_deleter), and fix each by itself"
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class PartScale:
     def own_sd(self) -> float:
         """Relative one-sigma of the error that other parts do not share: they have other vehicles and other ground."""
         parts = {} if self.scale is None else self.scale.parts
-        return float(np.sqrt(sum(parts.get(name, 0.0) ** 2 for name in OWN) + LOTS_SD**2))
+        return float(np.sqrt(sum(parts.get(name, 0.0) ** 2 for name in NOT_SHARED) + LOTS_SD**2))
 
     @property
     def said(self) -> str:
@@ -96,24 +96,24 @@ class Parts:
         """`scale`, which was measured of all parts together, as these show it.
 
         If they contradict each other it is ``unusable``, and its interval covers all of them. If a part that is not
-        SMALL has no scale of its own, nothing says that `scale` holds there: the verdict is AT_BEST_DOUBTED.
+        FEW_IMAGES has no scale of its own, nothing says that `scale` holds there: the verdict is AT_BEST_DOUBTED.
         """
         if self.contradict:
             ends = [end for part in self.known if part.scale is not None for end in part.scale.interval90]
             low, high = min(*ends, *scale.interval90), max(*ends, *scale.interval90)
             spread = {"conflict": max(float(np.log(high / low)) / (2 * Z90), scale.relative_sd)}
             wide = replace(scale, interval90=(low, high), parts=spread, verdict=UNUSABLE)
-            return wide.remarked(Remark(REFUSAL, self.contradiction, TO_MEND))
+            return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT))
         images = sum(len(part.images) for part in (*self.known, *self.unknown))
-        if sum(len(part.images) for part in self.unknown) < SMALL * images:
+        if sum(len(part.images) for part in self.unknown) < FEW_IMAGES * images:
             return scale
         text = f"parts of the model that share no point: {_listed(self.unknown)}, so nothing tells their scale"
         return scale.remarked(Remark(CAUTION, text), at_best=AT_BEST_DOUBTED)
 
 
 def _listed(parts: Sequence[PartScale]) -> str:
-    more = len(parts) - NAMED
-    return "; ".join(part.said for part in parts[:NAMED]) + (f"; and {more} more parts" if more > 0 else "")
+    more = len(parts) - PARTS_NAMED
+    return "; ".join(part.said for part in parts[:PARTS_NAMED]) + (f"; and {more} more parts" if more > 0 else "")
 
 
 def found_in(images: Collection[str], found: Detections) -> Detections:
