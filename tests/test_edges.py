@@ -9,7 +9,7 @@ from shapely import Polygon
 
 from orthoscale.core.boxes import Boxes, matched, suppress
 from orthoscale.detect.detector import CUT, Detector
-from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.detect.tiles import one_pass, tiles
 
 TOWN = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
 
@@ -98,5 +98,5 @@ def test_tiles_see_what_the_whole_picture_shows(town, detector):
     i, j, _ = matched(whole, seen, 0.5)
     assert len(i) >= 0.95 * len(whole) and len(seen) <= 1.05 * len(whole)
     assert np.percentile(np.abs(np.log(seen.length[j] / whole.length[i])), 90) < 0.05
-    (swept,) = sweep([Town()], 1.0, detector).values()
+    (swept,) = one_pass([Town()], 1.0, detector).values()
     assert len(swept) == pytest.approx(len(whole), abs=2)

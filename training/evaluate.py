@@ -42,7 +42,7 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import CUT, Passes
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import look_twice, sweep, tiles
+from orthoscale.detect.tiles import look_twice, one_pass, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -325,7 +325,7 @@ def evaluate(
     `twice_seen`."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
+    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.
@@ -450,7 +450,7 @@ def known_boxes(
     fleet = load_fleet(code)
     size = np.exp(fleet.log_mean)
     zoom = best_length * float(gsd) / size[0]
-    boxes = Boxes.concatenate(list(sweep(picture_files(Path(path)), zoom, detect).values()))
+    boxes = Boxes.concatenate(list(one_pass(picture_files(Path(path)), zoom, detect).values()))
     px = boxes[boxes.score >= score].xylwa[:, 2:4] * zoom
     px = px[(np.abs(np.log(px * float(gsd) / zoom / size)) < np.log(PLAUSIBLE)).all(1)]
     if not len(px):

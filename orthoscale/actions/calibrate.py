@@ -22,7 +22,7 @@ from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Plan
 from ..core.votes import Sightings, gather
 from ..detect.detector import Detector
-from ..detect.tiles import sweep
+from ..detect.tiles import one_pass
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
@@ -108,7 +108,7 @@ def _looks(plan: Plan, zooms: np.ndarray, network: Detector, progress: Progress 
             (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
         )
 
-    looks = same_vehicles([sweep([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
+    looks = same_vehicles([one_pass([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
     if len(looks[0]) < FEWEST_VEHICLES:
         raise TooLittleEvidence(
             f"{plan.path}: {len(looks[0])} vehicles detected at all three resampling factors, "
