@@ -8,12 +8,21 @@ from scipy.spatial import cKDTree
 from shapely import Polygon
 
 from orthoscale.core import boxes as core_boxes
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, distinct, matched, overlap, overlapping, suppress
 
 
 def boxes(*rows, score=None):
     rows = np.array(rows, float)
     return Boxes(rows, np.ones(len(rows)) if score is None else np.array(score))
+
+
+def test_an_axis_is_the_same_after_half_a_turn():
+    turns = np.array([0.0, 0.3, -0.3, np.pi / 2, -np.pi / 2, 3.0, -3.0, 7.0])
+    found = axis_angle(turns)
+    assert ((found >= -np.pi / 2) & (found < np.pi / 2)).all()
+    assert np.tan(found[[1, 2, 5, 6, 7]]) == pytest.approx(np.tan(turns[[1, 2, 5, 6, 7]]))
+    assert axis_angle(np.pi / 2) == -np.pi / 2 and axis_angle(np.pi - 0.1) == pytest.approx(-0.1)
 
 
 def test_the_long_side_is_the_length_and_the_angle_is_its():

@@ -38,6 +38,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import CUT, Passes
@@ -155,7 +156,7 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
     counted = [(c.hit >= 0) & (c.boxes.score >= score) for c in comparisons]
     box = np.concatenate([c.boxes.xylwa[k] for c, k in zip(comparisons, counted, strict=True)])
     label = np.concatenate([c.vehicles[c.hit[k]] for c, k in zip(comparisons, counted, strict=True)])
-    turn = (box[:, 4] - label[:, 4] + np.pi / 2) % np.pi - np.pi / 2
+    turn = axis_angle(box[:, 4] - label[:, 4])
     tell = scene.complete
     return Result(
         scene=scene.name,

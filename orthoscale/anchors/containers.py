@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
+from ..core.angles import axis_angle
 from ..core.normal import ROBUST_SD
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -299,7 +300,7 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
     if len(roofs) < FEWEST_CONTAINERS:
         return []
     i, j = np.triu_indices(len(roofs), 1)
-    turn = np.abs((roofs.angle[i] - roofs.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
+    turn = np.abs(axis_angle(roofs.angle[i] - roofs.angle[j]))
     equal = np.abs(np.log(roofs.length[i] / roofs.length[j])) < ROW_LENGTH + ROW_LENGTH_PX / roofs.length[i]
     step = roofs.place[j] - roofs.place[i]
     along = roofs.along[i]

@@ -15,6 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ..core.angles import axis_angle
+
 JOINED_HEADING = np.cos(np.radians(20))  # least cosine between the directions of neighbouring ridge points of a stroke
 ROUND_STROKE = 0.6  # of the curvature across: with more along, it is a blob
 BENT_PX, BENT_WIDE = 0.1, 0.3  # [px] and [sigmas of the filter]: largest one sigma of points across a straight stroke
@@ -62,7 +64,7 @@ def near_pairs(
         middle = (2 * which + 1) * half
         c, s = np.cos(middle), np.sin(middle)
         place = strokes.centre @ np.array([[c, -s * stretch], [s, c * stretch]])
-        off = np.abs((heading - middle + np.pi / 2) % np.pi - np.pi / 2)
+        off = np.abs(axis_angle(heading - middle))
         own, other = np.flatnonzero(number == which), np.flatnonzero(off <= half + turn)
         tree = cKDTree(place[other])
         for k in range(0, len(own), PAIRED_AT_ONCE):
