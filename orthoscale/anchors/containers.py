@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
 from ..core.angles import axis_angle
+from ..core.linked import linked_groups
 from ..core.normal import ROBUST_SD
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -318,8 +317,7 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
     if not pairs:
         return []
     a, b = np.array(pairs).T
-    number = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=2 * [len(roofs)]), directed=False)[1]
-    return [np.flatnonzero(number == k) for k in range(number.max() + 1) if (number == k).sum() >= FEWEST_CONTAINERS]
+    return linked_groups(a, b, len(roofs), FEWEST_CONTAINERS)
 
 
 def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:
