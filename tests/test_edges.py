@@ -9,7 +9,7 @@ from shapely import Polygon
 
 from orthoscale.core.boxes import Boxes, matched, suppress
 from orthoscale.detect.detector import CUT, Detector
-from orthoscale.detect.tiles import one_pass, tiles
+from orthoscale.detect.tiles import look, one_pass, tiles
 
 TOWN = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
 
@@ -90,11 +90,7 @@ def test_tiles_see_what_the_whole_picture_shows(town, detector):
     whole = whole[whole.inside(Town.width, Town.height, CUT)]
     seams = tiles(Town(), 1.0, tile=400, overlap=128)
     assert len(seams) >= 9
-    parts = []
-    for tile in seams:
-        found = detector(Town().read(tile.x, tile.y, tile.width, tile.height, 0, 0))
-        parts.append(found[found.inside(tile.width, tile.height, CUT)].mapped(1.0, (tile.x, tile.y)))
-    seen = suppress(Boxes.concatenate(parts))
+    seen = suppress(Boxes.concatenate([look(Town(), tile, detector) for tile in seams]))
     i, j, _ = matched(whole, seen, 0.5)
     assert len(i) >= 0.95 * len(whole) and len(seen) <= 1.05 * len(whole)
     assert np.percentile(np.abs(np.log(seen.length[j] / whole.length[i])), 90) < 0.05
