@@ -41,6 +41,7 @@ import numpy as np
 from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
+from orthoscale.core.normal import ROBUST_SD
 from orthoscale.detect.detector import CUT, Passes
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import look_twice, one_pass, tiles
@@ -55,7 +56,6 @@ PLACES = Path(__file__).parent / "labels" / "places.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are left out; the precision-recall curve ends there
-ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
 VISIBLE = 0.6  # visible share of a rendered vehicle from which it should be found
 RECALLS = (0.7, 0.8, 0.85, 0.9, 0.95)  # at which false boxes are counted
 # For the fit of margins, a box counts as a vehicle of the fleet within this factor of the expected length and width.
@@ -174,7 +174,7 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
 
 
 def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
-    """Median, 1.48 times the median absolute deviation from it, and median absolute value; None without values."""
+    """Median, robust standard deviation, and median absolute value; None without values."""
     if not len(values):
         return None
     centre, spread = middle(values)
@@ -182,9 +182,10 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
 
 
 def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `values` (N, ...) over the first axis, and 1.48 times the median absolute deviations from them."""
+    """Medians of `values` (N, ...) over the first axis, and robust standard deviations, by the median absolute
+    deviations from them."""
     median = np.median(values, axis=0)
-    return median, ROBUST * np.median(np.abs(values - median), axis=0)
+    return median, ROBUST_SD * np.median(np.abs(values - median), axis=0)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
