@@ -1,50 +1,16 @@
-"""Suppression against shapely, and vehicles at edges: seen whole, or not counted."""
+"""Vehicles at edges: seen whole, or not counted."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from shapely import Polygon
 
 from orthoscale.core.boxes import Boxes, matched, suppress
 from orthoscale.detect.detector import CUT, Detector
 from orthoscale.detect.tiles import look, one_pass, tiles
 
 TOWN = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
-
-
-def suppressed_by_shapely(boxes, iou):
-    """The plain rule: the best box stays, whatever overlaps it goes, and so on."""
-    order = list(np.argsort(-boxes.score, kind="stable"))
-    polygons = [Polygon(c) for c in boxes.corners]
-    kept = []
-    while order:
-        best = order.pop(0)
-        kept.append(best)
-
-        def apart(k, best=best):
-            shared = polygons[best].intersection(polygons[k]).area
-            return shared / (polygons[best].area + polygons[k].area - shared) < iou
-
-        order = [k for k in order if apart(k)]
-    return boxes[np.array(kept, int)]
-
-
-@pytest.mark.parametrize("iou", [0.1, 0.3, 0.6])
-@pytest.mark.parametrize("seed", range(5))
-def test_suppression_is_that_of_exact_overlaps(seed, iou):
-    """Crowds of boxes of all shapes: beside, across, inside one another, equal."""
-    rng = np.random.default_rng(seed)
-    n = 120
-    xylwa = np.column_stack([rng.uniform(0, 200, (n, 2)), rng.uniform(4, 60, (n, 2)), rng.uniform(-2, 2, n)])
-    xylwa[:20] = xylwa[20:40]  # equal
-    xylwa[40:60, :2] = xylwa[60:80, :2]  # concentric
-    boxes = Boxes(xylwa, rng.permutation(n) / n)
-    got, expected = suppress(boxes, iou), suppressed_by_shapely(boxes, iou)
-    assert got.score.tolist() == expected.score.tolist()
-    given = {tuple(row) for row in boxes.xylwa.tolist()}
-    assert all(tuple(row) in given for row in got.xylwa.tolist()), "never merged"
 
 
 @pytest.fixture(scope="module")
