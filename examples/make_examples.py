@@ -19,6 +19,7 @@ import pycolmap
 
 from orthoscale.actions.find import VehicleSearch, find_in_model, measured_anew
 from orthoscale.detect.detector import Detector
+from orthoscale.detect.find import Effort
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.requests import EstimateRequest
@@ -44,7 +45,7 @@ def make_sheffield(data: Path) -> None:
     small = reduced(pycolmap.Reconstruction(str(original / "sparse")))
     source = ColmapSource.open(original)
     found, _ = find_in_model(source, None, VehicleSearch(Detector()))
-    found = measured_anew(source, found, EstimateRequest())
+    found = measured_anew(source, found, EstimateRequest(), Effort())
     truth = json.loads((original / "truth.json").read_text())
     shutil.rmtree(folder, ignore_errors=True)  # only now, so that the example stays if data are missing
     (folder / "sparse").mkdir(parents=True)

@@ -203,8 +203,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/projection/view.py",
-        "return self.ground[:, 2] / focal",
-        "return np.linalg.norm(self.ground, axis=1) / focal",
+        "return self.ground[:, 2] / self.focal",
+        "return np.linalg.norm(self.ground, axis=1) / self.focal",
         f"{PROJECTED}test_elevation_and_pixel_size",
     ),
     Mutant(

@@ -8,12 +8,21 @@ from scipy.spatial import cKDTree
 from shapely import Polygon
 
 from orthoscale.core import boxes as core_boxes
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, distinct, matched, overlap, overlapping, suppress
 
 
 def boxes(*rows, score=None):
     rows = np.array(rows, float)
     return Boxes(rows, np.ones(len(rows)) if score is None else np.array(score))
+
+
+def test_an_axis_is_the_same_after_half_a_turn():
+    turns = np.array([0.0, 0.3, -0.3, np.pi / 2, -np.pi / 2, 3.0, -3.0, 7.0])
+    found = axis_angle(turns)
+    assert ((found >= -np.pi / 2) & (found < np.pi / 2)).all()
+    assert np.tan(found[[1, 2, 5, 6, 7]]) == pytest.approx(np.tan(turns[[1, 2, 5, 6, 7]]))
+    assert axis_angle(np.pi / 2) == -np.pi / 2 and axis_angle(np.pi - 0.1) == pytest.approx(-0.1)
 
 
 def test_the_long_side_is_the_length_and_the_angle_is_its():
@@ -75,6 +84,39 @@ def test_suppression_keeps_the_best_and_never_merges():
     kept = suppress(b)
     assert kept.score.tolist() == [0.9, 0.5]
     assert kept.xylwa[0].tolist() == [1, 0, 10, 4, 0]
+
+
+def suppressed_by_shapely(boxes, iou):
+    """The plain rule: the best box stays, whatever overlaps it goes, and so on."""
+    order = list(np.argsort(-boxes.score, kind="stable"))
+    polygons = [Polygon(c) for c in boxes.corners]
+    kept = []
+    while order:
+        best = order.pop(0)
+        kept.append(best)
+
+        def apart(k, best=best):
+            shared = polygons[best].intersection(polygons[k]).area
+            return shared / (polygons[best].area + polygons[k].area - shared) < iou
+
+        order = [k for k in order if apart(k)]
+    return boxes[np.array(kept, int)]
+
+
+@pytest.mark.parametrize("iou", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("seed", range(5))
+def test_suppression_is_that_of_exact_overlaps(seed, iou):
+    """Crowds of boxes of all shapes: beside, across, inside one another, equal."""
+    rng = np.random.default_rng(seed)
+    n = 120
+    xylwa = np.column_stack([rng.uniform(0, 200, (n, 2)), rng.uniform(4, 60, (n, 2)), rng.uniform(-2, 2, n)])
+    xylwa[:20] = xylwa[20:40]  # equal
+    xylwa[40:60, :2] = xylwa[60:80, :2]  # concentric
+    boxes = Boxes(xylwa, rng.permutation(n) / n)
+    got, expected = suppress(boxes, iou), suppressed_by_shapely(boxes, iou)
+    assert got.score.tolist() == expected.score.tolist()
+    given = {tuple(row) for row in boxes.xylwa.tolist()}
+    assert all(tuple(row) in given for row in got.xylwa.tolist()), "never merged"
 
 
 def test_side_by_side_vehicles_both_stay():

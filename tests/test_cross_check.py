@@ -174,7 +174,8 @@ def test_the_command(pair):
     assert CliRunner().invoke(cli, list(map(str, command))).exit_code == 4
 
 
-@pytest.mark.parametrize("vehicles", [200, 800, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("vehicles", [200, 800, 4000])
 def test_many_vehicles_are_matched_and_take_little_memory(vehicles):
     """Of 800 vehicles 41 were laid on others at 0.86 times the size, and that was believed."""
     rng = np.random.default_rng(0)

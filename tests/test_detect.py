@@ -14,7 +14,7 @@ from orthoscale.actions.boxes import detector_of
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector, Passes
-from orthoscale.detect.tiles import TILE_SIZE, check_number, look_twice, place, read, sweep, tiles
+from orthoscale.detect.tiles import TILE_SIZE, check_number, look_twice, one_pass, place, read, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 from orthoscale.requests import EstimateRequest
@@ -56,9 +56,9 @@ def test_the_tiles_of_all_pictures_together_fit_the_memory_budget(monkeypatch):
         check_number(frames[:1], 1.0, lists=20)
 
 
-def test_a_sweep_finds_every_vehicle_once_where_it_is():
+def test_a_pass_finds_every_vehicle_once_where_it_is():
     truth = car_park(40, 2600, 1800, 60)
-    (found,) = sweep([Drawing(2600, 1800, truth)], 1.0, RectangleDetector()).values()
+    (found,) = one_pass([Drawing(2600, 1800, truth)], 1.0, RectangleDetector()).values()
     i, j, overlaps = matched(truth, found, 0.5)
     assert len(found) == len(truth) == len(i)
     assert overlaps.min() > 0.85
@@ -67,13 +67,13 @@ def test_a_sweep_finds_every_vehicle_once_where_it_is():
 
 def test_vehicles_that_the_edge_cuts_are_dropped():
     truth = Boxes([[300, 200, 40, 17, 0], [600, 200, 40, 17, 0], [2, 300, 40, 17, 0]], np.ones(3))
-    (found,) = sweep([Drawing(600, 400, truth)], 1.0, RectangleDetector()).values()
+    (found,) = one_pass([Drawing(600, 400, truth)], 1.0, RectangleDetector()).values()
     assert found.centre.tolist() == [pytest.approx([300, 200], abs=0.6)]
 
 
 def test_boxes_keep_their_size_at_another_zoom():
     truth = car_park(150, 2400, 1800, 30)
-    (found,) = sweep([Drawing(2400, 1800, truth)], 0.25, RectangleDetector()).values()
+    (found,) = one_pass([Drawing(2400, 1800, truth)], 0.25, RectangleDetector()).values()
     i, j, _ = matched(truth, found, 0.5)
     assert len(i) == len(truth)
     assert np.median(np.log(found.length[j] / truth.length[i])) == pytest.approx(0, abs=0.04)
@@ -82,7 +82,7 @@ def test_boxes_keep_their_size_at_another_zoom():
 def test_several_pictures_and_progress_that_ends_at_the_total():
     pictures = [Drawing(500, 400, car_park(40, 500, 400, 5, seed), f"{seed}.jpg") for seed in range(3)]
     steps = []
-    found = sweep(pictures, 1.0, RectangleDetector(), lambda done, total: steps.append((done, total)))
+    found = one_pass(pictures, 1.0, RectangleDetector(), lambda done, total: steps.append((done, total)))
     assert {name: len(boxes) for name, boxes in found.items()} == {"0.jpg": 5, "1.jpg": 5, "2.jpg": 5}
     assert steps == [(1, 3), (2, 3), (3, 3)]
 

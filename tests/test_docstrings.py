@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import orthoscale
+from orthoscale import errors
 
 PACKAGE = Path(orthoscale.__file__).parent
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
@@ -74,3 +75,32 @@ def test_modules_that_docstrings_name_are_there():
             if name.split(".")[0] in FOLDERS and not resolves(name):
                 stale.append(f"{path.relative_to(PACKAGE)}: {name}")
     assert not stale
+
+
+ERRORS = {name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, Exception)}
+
+
+def raised(function):
+    """Names of the package's errors that `function` itself raises, not the functions in it."""
+    waiting, found = list(function.body), set()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, DEFINITIONS):
+            continue
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
+            found.add(node.exc.func.id)
+        waiting += ast.iter_child_nodes(node)
+    return found & ERRORS
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_public_functions_say_which_errors_they_raise(path):
+    """By name, or by another function that does. The docstrings of commands are their help, which users read."""
+    if path.parent.name == "cli":
+        return
+    unsaid = {}
+    for name, node in public(ast.parse(path.read_text()).body):
+        told = ast.get_docstring(node)
+        if isinstance(node, ast.FunctionDef) and not re.search(r"[Ss]ee `|[Rr]aises? what", told):
+            unsaid[name] = sorted(raised(node) - set(re.findall(r"\w+", told)))
+    assert not {name: which for name, which in unsaid.items() if which}

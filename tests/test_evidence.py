@@ -69,6 +69,7 @@ def test_what_contradicts_is_said_once():
     assert beside.text.startswith("dashes: would give 0.07") and beside.text.endswith("it does not count")
 
 
+@pytest.mark.slow
 def test_many_that_err_as_they_say_are_seldom_taken_for_contradictions():
     rng = np.random.default_rng(0)
     refused = 0

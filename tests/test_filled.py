@@ -41,6 +41,8 @@ class Mosaic:
         self.reads.append((x, y, width, height))
         image = np.full((out_height, out_width, 3), 114, np.uint8)
         for left, top, side in self.blocks:
+            if not (x - side < left < x + width and y - side < top < y + height):
+                continue
             a, b = (
                 int(max((at - start) * out / size, 0))
                 for at, start, out, size in ((left, x, out_width, width), (top, y, out_height, height))

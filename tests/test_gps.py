@@ -64,6 +64,7 @@ def units_of(path):
     return path / SCALE @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + (3.0, -40.0)
 
 
+@pytest.mark.slow
 def test_nine_of_ten_intervals_hold_whatever_the_errors_are():
     """Lawnmower and circle, errors that wander in seconds or in minutes, little or much; ground that is not level. Of
     1,440 others 92.3 % hold, of each kind of error 88 to 98 %; chance makes 1.2 % (one sigma) of the 480 here."""
@@ -197,6 +198,7 @@ def test_frames_without_tags_are_silent(tmp_path):
     assert not gps.evidence and not gps.notes
 
 
+@pytest.mark.slow
 def test_they_count_beside_the_vehicles_unless_they_are_left_out(flight):
     both, alone = (orthoscale.estimate(flight, **usual(flight), gps=gps) for gps in (True, False))
     assert [e.kind for e in both.scale.evidence] == ["GPS positions"] and not alone.scale.evidence
@@ -223,6 +225,7 @@ def test_positions_that_contradict_the_vehicles_are_not_averaged(tmp_path):
     assert found.scale.conflict > 3 and found.scale.verdict == "unusable"
 
 
+@pytest.mark.slow
 def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles(flight, tmp_path):
     """Either alone does not: nothing would show that it is mistaken."""
     (tmp_path / "none.json").write_text("{}")
@@ -240,6 +243,7 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     assert not (tmp_path / "far").exists()
 
 
+@pytest.mark.slow
 def test_a_note_says_why_positions_do_not_count(tmp_path):
     save_detections(tagged(tmp_path, noise=80.0), tmp_path / "boxes.json")
     found = orthoscale.estimate(tmp_path, **usual(tmp_path))
@@ -247,6 +251,7 @@ def test_a_note_says_why_positions_do_not_count(tmp_path):
     assert any("GPS positions of its frames do not count" in remark.text for remark in found.remarks)
 
 
+@pytest.mark.slow
 def test_the_papers_estimator_takes_vehicles_only(flight):
     found = orthoscale.estimate(flight, fleet="DE", detections=flight / "boxes.json", measurer="none", estimator="iqr")
     assert not found.scale.evidence
@@ -297,6 +302,7 @@ def test_what_looks_metric(value, change, told):
         assert not perhaps_metric(SimpleNamespace(**vars(model) | other), scale)
 
 
+@pytest.mark.slow
 def test_a_model_in_a_maps_coordinates_is_metric_already(tmp_path):
     """`fix` would scale it about the map's origin, and move it by kilometres."""
     import pycolmap

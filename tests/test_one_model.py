@@ -51,6 +51,7 @@ def test_a_lot_of_full_size_pickups_is_not_read_as_cars_at_another_scale(ruler):
     assert all("of one model" in " ".join(remark.text for remark in scale.remarks) for scale in scales)
 
 
+@pytest.mark.slow
 def test_lots_of_any_model_of_a_country_hold_as_often_as_they_say():
     fleet, hit = load_fleet("DE"), 0
     for k in range(30):
@@ -90,6 +91,7 @@ def test_the_evidence_is_that_of_a_mix_whose_only_class_is_the_model():
     assert one.posterior.centre == pytest.approx(np.log(GSD), abs=0.02)
 
 
+@pytest.mark.slow
 def test_any_country_may_have_the_model_where_the_country_is_not_known():
     scales = [pool(lot(k, FULL_SIZE_PICKUP, "pickup", RULER), load_fleet("world"), RULER, "m/px") for k in range(4)]
     assert sum(holds(scale) for scale in scales) >= 3, [scale.value / GSD - 1 for scale in scales]

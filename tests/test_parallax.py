@@ -123,6 +123,7 @@ def test_what_all_vehicles_err_by_alike_counts_apart_and_once():
     assert 0.5 < np.sqrt(np.mean(np.square(error) / np.square(claimed))) < 1.2
 
 
+@pytest.mark.slow
 def test_many_vehicles_take_little_memory(monkeypatch):
     """A thousand of them in 24 views each were matrices of their product."""
     rng = np.random.default_rng(0)

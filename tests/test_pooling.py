@@ -276,6 +276,7 @@ def some_of(votes, index):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["US", "JP", "NP"])
 def test_a_few_vehicles_more_or_less_do_not_move_the_answer(code):
     """A twentieth left out, ten times in four places: by root mean square the value moves by a quarter of the sampling

@@ -12,7 +12,7 @@ from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Sightings, gather
 from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
-from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.detect.tiles import one_pass, tiles
 from orthoscale.errors import UsageError
 from orthoscale.fleets import load_fleet
 
@@ -44,7 +44,7 @@ def test_medians_are_sharper_and_know_their_spread():
     truth = car_park(40, 1800, 1500, 90)
     picture = Drawing(1800, 1500, truth)
     detect = Unsteady()
-    found = sweep([picture], 1.0, detect)
+    found = one_pass([picture], 1.0, detect)
     sharper = refined([picture], found, 1.0, (0.0, 0.0), detect)["drawing"]
 
     def errors(boxes):

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from support.drawings import RENDERED_VEHICLES, Drawing, RectangleDetector, car_park, rendered_vehicles
-from test_architecture import imports
+from test_architecture import MODULES, imports
 
 import orthoscale
 from orthoscale.actions.estimate import estimate
@@ -432,6 +432,16 @@ def test_all_of_detect_that_tiles_and_measurer_use_is_part_of_the_key_and_nothin
         used |= new
         new = {each for name in new for each in imports(name) if each.startswith("detect.")} - used
     assert {pattern for pattern in CODE if pattern.startswith("detect/")} == {
+        f"{name.replace('.', '/')}.py" for name in used
+    }
+
+
+def test_all_of_the_core_that_finders_compute_with_is_part_of_the_key():
+    """All but what only describes pictures and tiles, or makes standards, which are themselves in the key."""
+    finders = {name for name in MODULES if name.startswith("anchors.")}
+    used = {each for name in {*finders, "core.anchors"} for each in imports(name) if each.startswith("core.")}
+    used -= {"core.detections", "core.source", "core.measuring.parking"}
+    assert {pattern for pattern in CODE_OF_FINDERS if pattern.startswith("core/")} == {
         f"{name.replace('.', '/')}.py" for name in used
     }
 

@@ -38,6 +38,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes
 
 from .data import as_stored, read_labels
@@ -298,7 +299,7 @@ def joined(kept: Iterable[dict], new: Iterable[dict]) -> list[dict]:
         before = vehicles[there[int(same[0].argmax())]]
         readers = before["readers"] + vehicle["readers"]
         change = np.subtract(vehicle["read"], before["read"])
-        change[4] = (change[4] + np.pi / 2) % np.pi - np.pi / 2  # either end may be called the right one
+        change[4] = axis_angle(change[4])  # either end may be called the right one
         before["read"] = (before["read"] + change * vehicle["readers"] / readers).round(2).tolist()
         before["readers"] = readers
     return vehicles

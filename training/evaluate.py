@@ -38,11 +38,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
+from orthoscale.core.normal import ROBUST_SD
 from orthoscale.detect.detector import CUT, Passes
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import look_twice, sweep, tiles
+from orthoscale.detect.tiles import look_twice, one_pass, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -54,7 +56,6 @@ PLACES = Path(__file__).parent / "labels" / "places.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are left out; the precision-recall curve ends there
-ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
 VISIBLE = 0.6  # visible share of a rendered vehicle from which it should be found
 RECALLS = (0.7, 0.8, 0.85, 0.9, 0.95)  # at which false boxes are counted
 # For the fit of margins, a box counts as a vehicle of the fleet within this factor of the expected length and width.
@@ -155,7 +156,7 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
     counted = [(c.hit >= 0) & (c.boxes.score >= score) for c in comparisons]
     box = np.concatenate([c.boxes.xylwa[k] for c, k in zip(comparisons, counted, strict=True)])
     label = np.concatenate([c.vehicles[c.hit[k]] for c, k in zip(comparisons, counted, strict=True)])
-    turn = (box[:, 4] - label[:, 4] + np.pi / 2) % np.pi - np.pi / 2
+    turn = axis_angle(box[:, 4] - label[:, 4])
     tell = scene.complete
     return Result(
         scene=scene.name,
@@ -173,7 +174,7 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
 
 
 def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
-    """Median, 1.48 times the median absolute deviation from it, and median absolute value; None without values."""
+    """Median, robust standard deviation, and median absolute value; None without values."""
     if not len(values):
         return None
     centre, spread = middle(values)
@@ -181,9 +182,10 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
 
 
 def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `values` (N, ...) over the first axis, and 1.48 times the median absolute deviations from them."""
+    """Medians of `values` (N, ...) over the first axis, and robust standard deviations, by the median absolute
+    deviations from them."""
     median = np.median(values, axis=0)
-    return median, ROBUST * np.median(np.abs(values - median), axis=0)
+    return median, ROBUST_SD * np.median(np.abs(values - median), axis=0)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
@@ -325,7 +327,7 @@ def evaluate(
     `twice_seen`."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
+    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.
@@ -450,7 +452,7 @@ def known_boxes(
     fleet = load_fleet(code)
     size = np.exp(fleet.log_mean)
     zoom = best_length * float(gsd) / size[0]
-    boxes = Boxes.concatenate(list(sweep(picture_files(Path(path)), zoom, detect).values()))
+    boxes = Boxes.concatenate(list(one_pass(picture_files(Path(path)), zoom, detect).values()))
     px = boxes[boxes.score >= score].xylwa[:, 2:4] * zoom
     px = px[(np.abs(np.log(px * float(gsd) / zoom / size)) < np.log(PLAUSIBLE)).all(1)]
     if not len(px):

@@ -23,7 +23,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched, overlapping
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.tiles import sweep
+from orthoscale.detect.tiles import one_pass
 from orthoscale.sources.picture_file import PictureFile
 
 from .data import BACKGROUND, LabelledImage, group_of, read_labels, split
@@ -40,7 +40,7 @@ def proposals(image: LabelledImage, detector: Detector, length: float, known: np
     mean of both looks."""
     picture = PictureFile(image.path.name, image.path, image.width, image.height)
     zoom = min(LENGTH / length, MAX_ENLARGEMENT)
-    first, second = (sweep([picture], z, detector)[picture.name] for z in (zoom, zoom / np.sqrt(2)))
+    first, second = (one_pass([picture], z, detector)[picture.name] for z in (zoom, zoom / np.sqrt(2)))
     i, j, _ = matched(first, second, SAME)
     xylwa = first.xylwa[i].copy()
     xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])

@@ -27,6 +27,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, overlapping, suppress
 from orthoscale.detect.detector import Detector
 
@@ -75,7 +76,7 @@ def agreed(found: list[Boxes]) -> list[dict]:
         free[group] = False
         xylwa, score = every.xylwa[group], every.score[group]
         best = np.array([score[look[group] == n].max(initial=0.0) for n in range(len(found))])
-        turn = (xylwa[:, 4] - every.xylwa[k, 4] + np.pi / 2) % np.pi - np.pi / 2
+        turn = axis_angle(xylwa[:, 4] - every.xylwa[k, 4])
         box = np.r_[np.median(xylwa[:, :4], axis=0), every.xylwa[k, 4] + np.median(turn)]
         out.append(
             {"box": np.round(box, 2).tolist(), "score": float(best.mean()), "sure": float((best >= SURE).mean())}

@@ -22,7 +22,7 @@ from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Plan
 from ..core.votes import Sightings, gather
 from ..detect.detector import Detector
-from ..detect.tiles import sweep
+from ..detect.tiles import one_pass
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
@@ -54,24 +54,12 @@ def calibrate(
     better the ruler. local_fleet : also fit a fleet to the vehicles in this picture. The other options are those of
     `orthoscale.estimate`. Raises InputError, UsageError, TooLittleEvidence.
     """
-    from ..sources.opening import open_source
-
     path = path_of(path, "the path of an orthophoto")
     detector = None if detector is None else path_of(detector, "the path of a network (.onnx)")
     gsd = None if gsd is None else number("--gsd", gsd)
     if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
         raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd}")
-    source = open_source(path, need_images=False)
-    raster = source.plan
-    if raster is None:
-        raise UsageError(
-            f"{path} is a reconstruction", "Calibrate on an orthophoto; models calibrate themselves on their own views."
-        )
-    if raster.claimed.aspect != 1:
-        raise UsageError(
-            f"{path}: pixels are {raster.claimed.aspect:.3g} times as wide as high on the ground",
-            "Warp it first: gdalwarp -t_srs EPSG:CODE, the code of its UTM zone.",
-        )
+    raster = _orthophoto(path)
     gsd, notes = _known_gsd(raster, gsd)
     prior = load_fleet(fleet)
     network = Detector(detector, decoder, listed("--vehicle-class", vehicle_classes))
@@ -84,11 +72,11 @@ def calibrate(
         relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
         noise = np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2]
         name = f"{len(sizes)} vehicles of {path.name}"
-        source_said = f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}"
-        entry = local_fleet_entry(sizes, noise, relative_sd, prior, name, source_said)
+        source = f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}"
+        entry = local_fleet_entry(sizes, noise, relative_sd, prior, name, source)
     made_from = {
         "orthophoto": path.name,
-        "sha256": source.content_hash(),
+        "sha256": raster.content_hash(),
         "gsd_m": gsd,
         "fleet": prior.code,
         "vehicles": len(sizes),
@@ -100,6 +88,23 @@ def calibrate(
     return Calibration(network.card.name, network.sha256, ruler, entry, made_from)
 
 
+def _orthophoto(path: Path) -> Plan:
+    """The orthophoto at `path`. Raises InputError; UsageError for a reconstruction, or pixels that are not square."""
+    from ..sources.opening import open_source
+
+    plan = open_source(path, need_images=False).plan
+    if plan is None:
+        raise UsageError(
+            f"{path} is a reconstruction", "Calibrate on an orthophoto; models calibrate themselves on their own views."
+        )
+    if plan.claimed.aspect != 1:
+        raise UsageError(
+            f"{path}: pixels are {plan.claimed.aspect:.3g} times as wide as high on the ground",
+            "Warp it first: gdalwarp -t_srs EPSG:CODE, the code of its UTM zone.",
+        )
+    return plan
+
+
 def _looks(plan: Plan, zooms: np.ndarray, network: Detector, progress: Progress | None) -> list[Boxes]:
     """The same vehicles at each resampling factor of `zooms`, in the same order. Raises TooLittleEvidence."""
 
@@ -108,7 +113,7 @@ def _looks(plan: Plan, zooms: np.ndarray, network: Detector, progress: Progress 
             (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
         )
 
-    looks = same_vehicles([sweep([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
+    looks = same_vehicles([one_pass([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
     if len(looks[0]) < FEWEST_VEHICLES:
         raise TooLittleEvidence(
             f"{plan.path}: {len(looks[0])} vehicles detected at all three resampling factors, "

@@ -16,7 +16,7 @@ from ..core.progress import Progress
 from ..core.source import GroundView, Picture, PosedSet, Source
 from ..detect.cover import FEW_FRAMES, Cover, covering, places_seen, seen_from_above
 from ..detect.detector import Detector
-from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
+from ..detect.find import Effort, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence
@@ -50,7 +50,7 @@ class VehicleSearch:
 
     detector: Detector
     zoom: float | None = None
-    effort: Effort | None = None
+    effort: Effort = Effort()
     sampling: Sampling = Sampling()
     progress: Progress | None = None
 
@@ -85,8 +85,8 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
     cover = covering(list(seen.values())) if seen else None
 
     def zoom_of_frames() -> float:
-        some = source.pictures if cover is None else [source.pictures[k] for k in cover.first(ZOOM_FRAMES)]
-        return find_zoom(some, search.detector, _named(search.progress, "in the frames"), search.effort).zoom
+        progress = _named(search.progress, "in the frames")
+        return find_zoom(source.pictures, search.detector, progress, search.effort, cover).zoom
 
     def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> BoxesAndZoom:
         places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
@@ -162,7 +162,7 @@ def measured_anew(
     source: Source,
     found: Detections,
     request: EstimateRequest,
-    effort: Effort | None = None,
+    effort: Effort,
     progress: Progress | None = None,
 ) -> Detections:
     """`found` with its vehicles measured by the measurer of `request`, in frames and in ground pictures separately;

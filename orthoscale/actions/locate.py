@@ -62,7 +62,8 @@ class LocateRequest:
         self.heading_rad(None)
 
     def heading_rad(self, told: float | None) -> float | None:
-        """The heading to search around [rad], None for all; `told` is the heading in the photo's tags [deg]."""
+        """The heading to search around [rad], None for all; `told` is the heading in the photo's tags [deg]. Raises
+        UsageError for a --heading that is no direction."""
         if self.heading is None:
             return None if told is None else float(np.radians(told))
         if self.heading == ANY_HEADING:

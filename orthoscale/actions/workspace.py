@@ -35,8 +35,8 @@ class ModelOutcome:
     def document(self) -> dict[str, Any]:
         """As plain values, for models.json."""
         if self.result is None:
-            code = self.error.exit_code if self.error else 1
-            return {"model": str(self.model), "error": str(self.error), "exit_code": code}
+            assert self.error is not None, "it is one of the two"
+            return {"model": str(self.model), "error": str(self.error), "exit_code": self.error.exit_code}
         scale = self.result.scale
         missing = {"missing": self.error.message} if self.error else {}
         return {

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.linked import linked_groups
 from .periods import Row, find_row
-from .strokes import Strokes, linked, near_pairs, values
+from .strokes import Strokes, near_pairs, values
 
 IN_LANE = np.radians(4)  # the next stroke lies within this angle of a stroke's own direction
 LANE_TURN = np.radians(8)  # most that a lane bends from one stroke to the next
@@ -69,7 +70,7 @@ def _paths(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.nd
     order = np.argsort(-distance)  # the nearest is written last
     nearest[i[order], side[order]] = j[order]
     mutual = (nearest[i, side] == j) & (nearest[j] == i[:, None]).any(1)
-    return [_in_order(strokes, group) for group in linked(i[mutual], j[mutual], len(strokes), fewest)]
+    return [_in_order(strokes, group) for group in linked_groups(i[mutual], j[mutual], len(strokes), fewest)]
 
 
 def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tuple[np.ndarray, np.ndarray]:

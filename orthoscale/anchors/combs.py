@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
+from ..core.angles import axis_angle
 from ..core.normal import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
@@ -187,7 +188,7 @@ def _heading(before: Sequence[Block], place: np.ndarray, way: float) -> float:
     """Direction of the lines at `place` [rad]. The chord from three blocks back turns half as much as the lines do."""
     back = three_back(before)
     chord = (place - back.place) * way
-    turned = (np.arctan2(chord[1], chord[0]) - back.heading + np.pi / 2) % np.pi - np.pi / 2
+    turned = axis_angle(np.arctan2(chord[1], chord[0]) - back.heading)
     return float(back.heading + turned * (2 if len(before) > 1 else 1))
 
 

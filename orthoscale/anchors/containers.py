@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
+from ..core.angles import axis_angle
+from ..core.linked import linked_groups
 from ..core.normal import ROBUST_SD
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -299,7 +299,7 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
     if len(roofs) < FEWEST_CONTAINERS:
         return []
     i, j = np.triu_indices(len(roofs), 1)
-    turn = np.abs((roofs.angle[i] - roofs.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
+    turn = np.abs(axis_angle(roofs.angle[i] - roofs.angle[j]))
     equal = np.abs(np.log(roofs.length[i] / roofs.length[j])) < ROW_LENGTH + ROW_LENGTH_PX / roofs.length[i]
     step = roofs.place[j] - roofs.place[i]
     along = roofs.along[i]
@@ -317,8 +317,7 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
     if not pairs:
         return []
     a, b = np.array(pairs).T
-    number = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=2 * [len(roofs)]), directed=False)[1]
-    return [np.flatnonzero(number == k) for k in range(number.max() + 1) if (number == k).sum() >= FEWEST_CONTAINERS]
+    return linked_groups(a, b, len(roofs), FEWEST_CONTAINERS)
 
 
 def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.angles import axis_angle
 from .circle_search import circled
 from .court_models import Court
 from .poses import Poses, Ridges
@@ -110,7 +111,7 @@ def _pairs(seeds: Segments, ahead: float, apart: float) -> tuple[np.ndarray, np.
     most = float(np.hypot(ahead, apart))
     around = most / (2 * np.sin(SEEDS_APART)) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
     pair = cKDTree(np.hstack([seeds.middle, around])).query_pairs(most * np.sqrt(2), output_type="ndarray")
-    turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
+    turn = axis_angle(seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]])
     pair, turn = pair[np.abs(turn) <= SEEDS_APART], turn[np.abs(turn) <= SEEDS_APART]
     angle = seeds.angle[pair[:, 0]] + turn / 2
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]

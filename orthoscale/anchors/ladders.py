@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.linked import linked_groups
 from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
-from .strokes import Strokes, linked, near_pairs, values
+from .strokes import Strokes, near_pairs, values
 
 RUNGS_TURN = np.radians(5)  # most from one stroke to the next
 RUNGS_PARALLEL = np.cos(RUNGS_TURN)
@@ -142,7 +143,7 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
     near = near_pairs(strokes, reach * np.hypot(1, STEEPEST_SLANT), RUNGS_TURN)
     parts = [_beside(strokes, i, j, low, reach) for i, j in near]
     i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return linked(i, j, len(strokes), fewest)
+    return linked_groups(i, j, len(strokes), fewest)
 
 
 def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
+from ..core.angles import axis_angle
 from ..core.normal import ROBUST_SD, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
@@ -189,7 +190,7 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
     if len(seeds.angle) < 2:
         return np.zeros((0, 4))
     pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(high, SEED_PX / 2)), output_type="ndarray")
-    turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
+    turn = axis_angle(seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]])
     angle = (seeds.angle[pair[:, 0]] + turn / 2) % np.pi
     step = seeds.middle[pair[:, 1]] - seeds.middle[pair[:, 0]]
     apart = np.abs(step[:, 1] * np.cos(angle) - step[:, 0] * np.sin(angle))

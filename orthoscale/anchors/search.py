@@ -39,6 +39,9 @@ MIDDLE_OF_PIXEL = 0.5  # [px] from a pixel's upper left corner to its centre, th
 CODE_OF_FINDERS = (
     "anchors/*.py",
     "core/anchors.py",
+    "core/angles.py",
+    "core/linked.py",
+    "core/normal.py",
     *RASTER_CODE,
     "sources/picture_file.py",
     "sources/ground_picture.py",

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from ..core.angles import axis_angle
+from ..core.linked import linked
 
 JOINED_HEADING = np.cos(np.radians(20))  # least cosine between the directions of neighbouring ridge points of a stroke
 ROUND_STROKE = 0.6  # of the curvature across: with more along, it is a blob
@@ -62,7 +63,7 @@ def near_pairs(
         middle = (2 * which + 1) * half
         c, s = np.cos(middle), np.sin(middle)
         place = strokes.centre @ np.array([[c, -s * stretch], [s, c * stretch]])
-        off = np.abs((heading - middle + np.pi / 2) % np.pi - np.pi / 2)
+        off = np.abs(axis_angle(heading - middle))
         own, other = np.flatnonzero(number == which), np.flatnonzero(off <= half + turn)
         tree = cKDTree(place[other])
         for k in range(0, len(own), PAIRED_AT_ONCE):
@@ -71,14 +72,6 @@ def near_pairs(
             i, j = own[found["i"] + k], other[found["j"]]
             each = (i < j) & (((strokes.centre[j] - strokes.centre[i]) ** 2).sum(1) <= reach**2)
             yield i[each], j[each]
-
-
-def linked(i: np.ndarray, j: np.ndarray, count: int, fewest: int) -> list[np.ndarray]:
-    """Groups of at least `fewest` indices below `count` that the pairs (i, j) link."""
-    label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
-    member = np.flatnonzero(np.bincount(label)[label] >= fewest)
-    order = member[np.argsort(label[member], kind="stable")]
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else []
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
@@ -179,7 +172,7 @@ def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarr
         alike = np.abs(hx[own] * hx[other] + hy[own] * hy[other]) > JOINED_HEADING
         ends.append(np.stack([own[alike], other[alike]]))
     i, j = np.concatenate(ends, axis=1)
-    return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
+    return linked(i, j, len(x))
 
 
 def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float, bent: float) -> Strokes:

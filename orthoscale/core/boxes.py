@@ -8,6 +8,8 @@ from itertools import chain
 
 import numpy as np
 
+from .angles import axis_angle
+
 SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehicle's; side by side they share nothing
 HEAPED = 250  # mean number of neighbours per box from which the boxes cannot be vehicles; closely packed ones have 30
 PAIRS = 2**15  # pairs of boxes whose overlap is computed at once, in some 50 MB
@@ -46,7 +48,7 @@ class Boxes:
         sigma[flat] = sigma[flat, ::-1]
         xylwa[flat, 2], xylwa[flat, 3] = xylwa[flat, 3], xylwa[flat, 2].copy()
         xylwa[flat, 4] += np.pi / 2
-        xylwa[:, 4] = (xylwa[:, 4] + np.pi / 2) % np.pi - np.pi / 2
+        xylwa[:, 4] = axis_angle(xylwa[:, 4])
         object.__setattr__(self, "xylwa", xylwa)
         object.__setattr__(self, "score", score)
         object.__setattr__(self, "sigma", sigma)

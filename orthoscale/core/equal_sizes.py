@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .angles import axis_angle
 from .boxes import Boxes
 from .confirmed import about
 from .linked import linked
@@ -78,6 +79,6 @@ def _standing_together(boxes: Boxes) -> np.ndarray:
         found.append(index[cKDTree(boxes.centre[index]).query_pairs(TOGETHER * 2.0 ** (k + 1), output_type="ndarray")])
     i, j = np.concatenate(found).T
     apart = np.linalg.norm(boxes.centre[i] - boxes.centre[j], axis=1)
-    turned = np.abs((boxes.angle[i] - boxes.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
+    turned = np.abs(axis_angle(boxes.angle[i] - boxes.angle[j]))
     near = (apart < TOGETHER * np.minimum(boxes.length[i], boxes.length[j])) & (turned < TURN)
     return linked(i[near], j[near], n)

@@ -32,8 +32,8 @@ class Scale:
 
     value : metres per pixel of an orthophoto, or per unit of a model.
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
-    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
-        drift.
+    parts : relative one-sigma of each source of uncertainty, by its name: one of `uncertainty.MEANINGS`, or a kind of
+        anchors.
     by_vehicles : `parts` by the vehicles alone, before other evidence; empty where these are the same.
     checks : the scale from lengths alone, from widths alone and, where these differ, from length minus width
         (free of a symmetric margin).

@@ -43,6 +43,7 @@ LOOKING = (
     "tiles",
 )
 CODE = (
+    "core/angles.py",
     "core/boxes.py",
     *(f"detect/{name}.py" for name in LOOKING),
     *RASTER_CODE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib import resources
 from pathlib import Path
@@ -85,7 +85,6 @@ class Card:
     stride: int = 32
     body: str = "car"
     normalisation: Normalisation = Normalisation()
-    extra: dict = field(default_factory=dict)
 
     @classmethod
     def from_json(cls, text: str, origin: str = "the card") -> Card:
@@ -97,7 +96,7 @@ class Card:
         if len(text) > LONGEST_CARD:
             raise InputError(f"{origin}: longer than the {LONGEST_CARD} characters that it may have", CARD_HINT)
         entry = checked(parsed(text, origin, CARD, CARD_HINT), CardEntry, origin, CARD, CARD_HINT)
-        values = {name: getattr(entry, name) for name in entry.__struct_fields__}
+        values = {name: getattr(entry, name) for name in entry.__struct_fields__ if name != "extra"}
         values["ruler"] = entry.ruler.ruler
         how = values.pop("normalisation")
         if how is not UNSET:

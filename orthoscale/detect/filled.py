@@ -64,7 +64,7 @@ class Filled:
 
 
 def filled(picture: Picture) -> Filled:
-    """Where a picture shows anything. One that is decoded as a whole (it has no ``decoded_px``) is taken to be full.
+    """Where a picture shows anything. One that is decoded as a whole (not `Windowed`) is taken to be full.
 
     A cell is empty if it and its neighbours are each of one grey, whatever the reason: a mask, blocks that were never
     written, or a white or black border that nobody declared. In a picture with overviews the whole cell is looked at,

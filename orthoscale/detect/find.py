@@ -83,8 +83,7 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        some = pictures if cover is None else [pictures[k] for k in cover.first(ZOOM_FRAMES)]
-        choice = find_zoom(some, detector, progress, effort)
+        choice = find_zoom(pictures, detector, progress, effort, cover)
         zoom = choice.zoom
     check_number(pictures, zoom)
     sweep = _Sweep(pictures, detector, zoom, effort, progress)
@@ -196,11 +195,12 @@ def _equal_things(boxes: Boxes, _: Boxes) -> np.ndarray:
 
 
 def find_zoom(
-    pictures: Sequence[Picture], detector: Detector, progress: Progress | None = None, effort: Effort | None = None
+    pictures: Sequence[Picture], detector: Detector, progress: Progress | None, effort: Effort, cover: Cover | None
 ) -> ZoomChoice:
-    """The zoom for the sweep. Raises TooLittleEvidence if none shows vehicles, EvidenceDisagrees if two are about
-    equally likely."""
-    effort = effort or Effort()
+    """The zoom for the sweep; of overlapping frames with the order `cover`, by the first ZOOM_FRAMES. Raises
+    TooLittleEvidence if none shows vehicles, EvidenceDisagrees if two are about equally likely."""
+    if cover is not None:
+        pictures = [pictures[k] for k in cover.first(ZOOM_FRAMES)]
     step = _step(progress, "Scale search")
     workers = worker_count(effort.workers)
     choice = search_zoom(pictures, detector, detector.card, step, effort.seed, workers)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.angles import axis_angle
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.progress import Progress
@@ -99,7 +100,7 @@ def agreed(boxes: Boxes, views: Sequence[Boxes], noise: np.ndarray) -> Boxes:
         i, j, _ = matched(boxes, view, SAME_VEHICLE)
         row[i] = view.xylwa[j]
     count = np.isfinite(rows[..., 0]).sum(0)
-    rows[..., 4] = (rows[..., 4] - boxes.angle + np.pi / 2) % np.pi - np.pi / 2  # rotation relative to the first
+    rows[..., 4] = axis_angle(rows[..., 4] - boxes.angle)  # rotation relative to the first
     rows[..., 2:4] = np.log(rows[..., 2:4])
     xylwa = np.nanmedian(rows, axis=0)
     xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])

@@ -73,7 +73,7 @@ def remeasured(
     pictures: Sequence[Picture],
     found: Detections,
     measurer: Measurer,
-    effort: Effort | None = None,
+    effort: Effort,
     progress: Progress | None = None,
     most: int = MOST,
 ) -> Detections:
@@ -86,7 +86,7 @@ def remeasured(
     index = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name}, most)
     if not index and len(found):
         return found  # no picture of the detected vehicles is available
-    return _merged(found, _measured(by_name, found, index, measurer, effort or Effort(), progress), measurer)
+    return _merged(found, _measured(by_name, found, index, measurer, effort, progress), measurer)
 
 
 def _measured(

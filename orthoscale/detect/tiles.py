@@ -187,10 +187,10 @@ def place(boxes: Boxes, tile: Tile, border: float = CUT) -> Boxes:
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 
 
-def sweep(
+def one_pass(
     pictures: Iterable[Picture], zoom: float, detect: Detect, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Boxes]:
-    """All whole vehicles of each picture, by its name, after non-maximum suppression.
+    """One detection pass: all whole vehicles of each picture, by its name, after non-maximum suppression.
 
     The next tile is read while the network works on this one. `progress(done, total)` counts tiles.
     """

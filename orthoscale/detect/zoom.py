@@ -15,6 +15,7 @@ area, and their scatter with its square root; so votes are compared with this sc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -28,7 +29,7 @@ from ..core.source import Picture
 from ..errors import UsageError
 from ..system.threads import Threads
 from .detector import Card
-from .filled import Filled, filled
+from .filled import Filled, Windowed, filled
 from .tiles import Detect, look, tiles
 
 # Where these numbers come from: BUDGET's second and DECODED's ratio were measured on two cores. The rest follows from
@@ -347,11 +348,11 @@ def _cost(picture: Picture, tile: Tile) -> float:
     """Cost of a look in network pixels, decoding included: a large raster without overviews is decoded in full even for
     the coarsest look.
 
-    ``decoded_px`` of a picture that is decoded by windows says how many pixels; a frame is decoded once for all zooms.
+    A picture that is decoded by windows says how many pixels; a frame is decoded once for all zooms.
     """
-    decoded_px = getattr(picture, "decoded_px", None)
-    decoded = decoded_px(tile.width, tile.height, tile.out_width, tile.out_height) if decoded_px else 0.0
-    return tile.out_width * tile.out_height + decoded / DECODED
+    size = tile.out_width, tile.out_height
+    decoded = picture.decoded_px(tile.width, tile.height, *size) if isinstance(picture, Windowed) else 0.0
+    return math.prod(size) + decoded / DECODED
 
 
 def _place(number: int, order: np.ndarray) -> tuple[int, float, float]:

@@ -109,7 +109,8 @@ def _regions(folder: Path) -> list[Path]:
 
 
 def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
-    """Photos with reference poses over a surface model: the altitude is the pose's height minus that of the ground."""
+    """Photos with reference poses over a surface model: the altitude is the pose's height minus that of the ground.
+    Raises InputError."""
     samples: list[Sample] = []
     notes: list[str] = []
     regions = _regions(folder)
@@ -179,7 +180,8 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
 
 
 def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
-    """The photos of a table. Focal length and angles come from it, or else from the photos' own tags."""
+    """The photos of a table. Focal length and angles come from it, or else from the photos' own tags. Raises
+    InputError."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
     samples = []

@@ -62,14 +62,7 @@ def plan_crops(
     Raises UsageError for a place or a footprint that the satellite picture does not hold, a stride of less than a
     pixel, more than MOST_WINDOWS windows.
     """
-    if stride is not None and not 0 < stride <= 1:
-        raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
-    if radius is not None and at is None:
-        raise UsageError("--radius needs the middle of the search area", "Give --at LON,LAT.")
-    if radius is None and at is not None and stride is not None:
-        raise UsageError("--stride does nothing here: --at without --radius is one crop", "Give --radius METRES.")
-    if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
-        raise UsageError("a GSD or radius that is not a positive number of metres")
+    _check_search(gsd, at, radius, stride)
     width, height = photo_size
     query = (0, 0, width, height)
     if square:
@@ -98,20 +91,37 @@ def plan_crops(
         )
     reach = np.array([0.0, 0.0]) if radius is None else radius / pixel
     low, high = (np.zeros(2), whole) if at is None else (middle - reach, middle + reach)
+    windows = _windows(window, low, high, whole, stride or CROP_STRIDE)
+    zoom = 1.0 if out_px is None else out_px / max(query[2:])
+    out = max(1, round(query[2] * zoom)), max(1, round(query[3] * zoom))
+    return Crops(satellite, windows, window * pixel, pixel, out, query)
+
+
+def _check_search(gsd: float, at: tuple[float, float] | None, radius: float | None, stride: float | None) -> None:
+    """Raise UsageError for arguments of `plan_crops` that make no sense, alone or together."""
+    if stride is not None and not 0 < stride <= 1:
+        raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
+    if radius is not None and at is None:
+        raise UsageError("--radius needs the middle of the search area", "Give --at LON,LAT.")
+    if radius is None and at is not None and stride is not None:
+        raise UsageError("--stride does nothing here: --at without --radius is one crop", "Give --radius METRES.")
+    if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
+        raise UsageError("a GSD or radius that is not a positive number of metres")
+
+
+def _windows(window: np.ndarray, low: np.ndarray, high: np.ndarray, whole: np.ndarray, stride: float) -> np.ndarray:
+    """(n, 4) windows of the size `window` (2,) within a picture of the size `whole` (2,), as in `Crops`. Their centres
+    cover the area from `low` to `high` (2,) evenly, a share of `stride` of the size apart [px]. Raises UsageError for
+    more than MOST_WINDOWS."""
     first, last = np.clip([low - window / 2, high - window / 2], 0, whole - window)
-    shifts = np.maximum((stride or CROP_STRIDE) * window, 1)
+    shifts = np.maximum(stride * window, 1)
     steps = np.ceil((last - first) / shifts - 1e-9).astype(int)
     count = math.prod((steps + 1).tolist())  # counted before any is made
     if count > MOST_WINDOWS:
         raise UsageError(f"{count} windows are too many", "Limit the search area: --at LON,LAT --radius METRES.")
-    # Their centres cover the search area evenly; the windows themselves stay within the picture.
     starts = [np.unique(np.rint(np.linspace(first[k], last[k], steps[k] + 1)).astype(int)) for k in (0, 1)]
     x, y = (a.ravel() for a in np.meshgrid(*starts))
-    windows = np.column_stack([x, y, np.full(len(x), window[0]), np.full(len(x), window[1])])
-    longer = max(query[2:])
-    zoom = 1.0 if out_px is None else out_px / longer
-    out = max(1, round(query[2] * zoom)), max(1, round(query[3] * zoom))
-    return Crops(satellite, windows, window * pixel, pixel, out, query)
+    return np.column_stack([x, y, np.full(len(x), window[0]), np.full(len(x), window[1])])
 
 
 def write_crops(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from rasterio.warp import transform
 
+from ..core.affine import transformed
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.degrees import WGS_84, about_meridian
@@ -77,9 +78,7 @@ def outlines(result: Result, place: Placement) -> np.ndarray:
     """(N, 5, 2) closed outlines of the vehicles in the coordinates of `place`."""
     box = np.array([members[0] for members in result.votes.members], int)
     corners = result.boxes[box].corners
-    a, b, c, d, e, f = place.transform[:6]
-    x, y = corners[..., 0], corners[..., 1]
-    ring = np.stack([a * x + b * y + c, d * x + e * y + f], -1)
+    ring = transformed(corners, place.transform)
     return np.concatenate([ring, ring[:, :1]], 1)
 
 

@@ -83,6 +83,16 @@ def difference(
 
     position : by how much a point or a camera may be off, as a share of the model's size.
     """
+    return (
+        _other_contents(model, written)
+        or _moved(model, written, scale, position)
+        or _seen_otherwise(model, written, scale)
+    )
+
+
+def _other_contents(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction) -> str:
+    """As `difference`, of what the scale does not change: the numbers of everything, the cameras, the sensors of rigs,
+    and which images are registered."""
     for what in ("cameras", "images", "points3D", "frames", "rigs"):
         if set(getattr(model, what)) != set(getattr(written, what)):
             return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
@@ -94,19 +104,21 @@ def difference(
             return f"camera {number} has another model or size"
         if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
             return f"camera {number} has other parameters"
+    if _sensor_places(model).keys() != _sensor_places(written).keys():
+        return "rigs have other sensors"
+    if sorted(model.reg_image_ids()) != sorted(written.reg_image_ids()):
+        return "other images are registered"
+    return ""
 
+
+def _moved(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float, position: float) -> str:
+    """As `difference`, of the positions of points, cameras and sensors, and of the points' stored errors."""
     # This includes sensors without images, whose positions cannot be checked by cameras.
     places, new_places = (_sensor_places(m) for m in (model, written))
-    if places.keys() != new_places.keys():
-        return "rigs have other sensors"
     sensors, new_sensors = (np.array([p[key] for key in sorted(places)]).reshape(-1, 3) for p in (places, new_places))
-
-    ids = np.array(sorted(model.points3D))
+    ids, image_ids = sorted(model.points3D), model.reg_image_ids()
     points, new_points = (np.array([m.points3D[i].xyz for i in ids]) for m in (model, written))
     errors, new_errors = (np.array([m.points3D[i].error for i in ids]) for m in (model, written))
-    image_ids = model.reg_image_ids()
-    if sorted(image_ids) != sorted(written.reg_image_ids()):
-        return "other images are registered"
     centres, new_centres = (np.array([m.image(i).projection_center() for i in image_ids]) for m in (model, written))
     size = scale * max(np.abs(points).max(), np.abs(centres).max(), np.abs(sensors).max(initial=0))
     moved = ("point", points, new_points), ("camera", centres, new_centres), ("sensor of a rig", sensors, new_sensors)
@@ -116,7 +128,14 @@ def difference(
             return f"a {what} is {error:.3g} off"
     if np.abs(new_errors - errors).max() > REPROJECTION:
         return f"point {ids[np.abs(new_errors - errors).argmax()]} has another stored error"
-    for i in image_ids:
+    return ""
+
+
+def _seen_otherwise(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
+    """As `difference`, of the images' names, of which points they observe, and of where they project these."""
+    ids = np.array(sorted(model.points3D))
+    points = np.array([model.points3D[number].xyz for number in ids])
+    for i in model.reg_image_ids():
         before, after = model.image(i), written.image(i)
         if before.name != after.name or before.num_points2D() != after.num_points2D():
             return f"image {i} has another name or other observations"

@@ -69,29 +69,35 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             if not lacking:
                 break
     if len(missing) == len(names):
-        above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
-        what = f"no frame of the model {folder} was found; the first is {missing[0]}"
-        higher = [] if given is None else given.absolute().parents[:IMAGES_ABOVE]
-        if (start := next((place for place in higher if file_in(place, missing[0]) is not None), None)) is not None:
-            raise InputError(
-                f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
-            )
-        inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
-        if (start := _below(inside, missing[0])) is not None:
-            raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
-        if (near := _of_nearly_that_name(places, missing[0])) is not None:
-            hint = "Name the frames as the model does: folders, endings, upper and lower case matter."
-            if _composed(near.as_posix()).endswith(_composed(PureWindowsPath(missing[0]).as_posix())):
-                hint = (
-                    "They look alike, but one has its marked letters (such as umlauts) as two characters each, as "
-                    "macOS writes them: name the frames anew, or as the model does."
-                )
-            raise InputError(f"{what}, but {near} has another name", hint)
-        raise InputError(
-            f"{what}; looked in {given or above}",
-            "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
-        )
+        raise _not_found(folder, given, places, missing[0])
     return best, missing
+
+
+def _not_found(folder: Path, given: Path | None, places: Sequence[Path], first: str) -> InputError:
+    """The error that none of the frames of the model in `folder` is in one of `places`. It says where a frame is that
+    may be the `first`, if there is one. given : as in `image_folder`."""
+    what = f"no frame of the model {folder} was found; the first is {first}"
+    higher = [] if given is None else given.absolute().parents[:IMAGES_ABOVE]
+    if (start := next((place for place in higher if file_in(place, first) is not None), None)) is not None:
+        return InputError(
+            f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
+        )
+    inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
+    if (start := _below(inside, first)) is not None:
+        return InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
+    if (near := _of_nearly_that_name(places, first)) is not None:
+        hint = "Name the frames as the model does: folders, endings, upper and lower case matter."
+        if _composed(near.as_posix()).endswith(_composed(PureWindowsPath(first).as_posix())):
+            hint = (
+                "They look alike, but one has its marked letters (such as umlauts) as two characters each, as "
+                "macOS writes them: name the frames anew, or as the model does."
+            )
+        return InputError(f"{what}, but {near} has another name", hint)
+    above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
+    return InputError(
+        f"{what}; looked in {given or above}",
+        "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
+    )
 
 
 def _below(folders: Sequence[Path], name: str) -> Path | None:

@@ -30,7 +30,8 @@ def open_source(
     ground_cloud: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Source:
-    """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError.
+    """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError;
+    UsageError if `images` are given for an image.
 
     ground_cloud : dense cloud or workspace of a reconstruction; by default one is searched for beside it, and NO_CLOUD
     means none. progress : of reading the cloud, once the ground is needed.

@@ -237,7 +237,8 @@ def _is_complete(data: bytes | mmap.mmap) -> bool:
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) [px] from the header of an image, before any EXIF rotation; None if it cannot be read."""
+    """(width, height) [px] from the header of an image, before any EXIF rotation; None for a header that is not
+    understood. Raises InputError for a file that cannot be read."""
     try:
         with path.open("rb") as file:
             data = file.read(1 << 20)

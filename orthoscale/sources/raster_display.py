@@ -31,6 +31,9 @@ SHOWN = (0.5, 99.5)
 OF_8_BIT = (257, 256)
 """Factors by which programs make 16 bits of 8: 255 becomes 65535, or a byte moves up."""
 
+SAMPLE_SIDE, SAMPLES_ACROSS = 128, 8
+"""Side of a sample of an image's values [px], and number of samples across and down."""
+
 Damage = Callable[[str], AbstractContextManager[None]]
 """Turns GDAL's errors within it into what is told of damage; given where that is."""
 
@@ -124,11 +127,11 @@ def _palette(dataset: DatasetReader) -> np.ndarray | None:
     return table
 
 
-def _samples(dataset: DatasetReader, side: int = 128) -> Iterator[Window]:
-    """Windows of `side` px in an even grid: a decimated read of a file without overviews reads all of it."""
-    for y in np.unique(np.linspace(0, max(dataset.height - side, 0), 8).astype(int)):
-        for x in np.unique(np.linspace(0, max(dataset.width - side, 0), 8).astype(int)):
-            yield Window(x, y, min(side, dataset.width), min(side, dataset.height))
+def _samples(dataset: DatasetReader) -> Iterator[Window]:
+    """Windows in an even grid: a decimated read of a file without overviews reads all of it."""
+    for y in np.unique(np.linspace(0, max(dataset.height - SAMPLE_SIDE, 0), SAMPLES_ACROSS).astype(int)):
+        for x in np.unique(np.linspace(0, max(dataset.width - SAMPLE_SIDE, 0), SAMPLES_ACROSS).astype(int)):
+            yield Window(x, y, min(SAMPLE_SIDE, dataset.width), min(SAMPLE_SIDE, dataset.height))
 
 
 def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]) -> bool:

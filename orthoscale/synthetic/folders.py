@@ -140,11 +140,12 @@ def _on_earth(x: float, y: float) -> tuple[float, float]:
     return lon, lat
 
 
-def _write_dsm(path: Path, step: float = 2.0, half: float = 300.0) -> None:
-    """Write a surface model: ground at 120 m with a little noise, roofs on every second block of 20 m, and a border
-    without data."""
+def _write_dsm(path: Path) -> None:
+    """Write a surface model of 600 x 600 m, in cells of 2 m: ground at 120 m with a little noise, roofs on every second
+    block of 20 m, and a border without data."""
     to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
     east, north = to_utm.transform(*LON_LAT)
+    step, half = 2.0, 300.0
     count = int(2 * half / step)
     rows, columns = np.indices((count, count))
     blocks = (rows // 10 + columns // 10) % 2

@@ -47,11 +47,12 @@ BLOTCH_TEXEL_M = 0.35
 """Metres per texel of `blotch`, the slow change of tone that keeps the other textures from showing their repeats."""
 
 
-def fractal(rng: np.random.Generator, slope: float, size: int = TEXTURE_SIZE, coarsest: float = 0.0) -> np.ndarray:
-    """(size, size) tileable noise with amplitude ~ frequency**-slope, mean 0, standard deviation 1.
+def fractal(rng: np.random.Generator, slope: float, coarsest: float = 0.0) -> np.ndarray:
+    """(TEXTURE_SIZE, TEXTURE_SIZE) tileable noise with amplitude ~ frequency**-slope, mean 0, standard deviation 1.
 
     coarsest : frequencies below this many cycles per picture are flattened, so that repeats do not show.
     """
+    size = TEXTURE_SIZE
     f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None]) * size
     spectrum = np.fft.rfft2(rng.standard_normal((size, size))) / np.maximum(f, max(coarsest, 1.0)) ** slope
     spectrum[0, 0] = 0

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orthoscale.core.angles import axis_angle
 from orthoscale.detect.measurer import ANSWERS, CROP_HEIGHT, CROP_WIDTH, crop, pixels_per_crop_pixel
 
 from . import real
@@ -68,7 +69,7 @@ def edges_in_crop(box: np.ndarray, proposed: np.ndarray) -> tuple[np.ndarray, fl
     cos, sin = np.cos(proposed[4]), np.sin(proposed[4])
     x, y = np.array([[cos, sin], [-sin, cos]]) @ (box[:2] - proposed[:2]) / step
     length, width = box[2:4] / step / 2
-    turn = (box[4] - proposed[4] + np.pi / 2) % np.pi - np.pi / 2
+    turn = axis_angle(box[4] - proposed[4])
     return np.array([x - length, x + length, y - width, y + width]), turn
 
 

@@ -90,14 +90,7 @@ def pool(
     If `fleet` has candidates, each is tried, and weighted by its probability given the vehicles and anchors.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
-    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
-    fleeting = votes.fleeting
-    measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
-    if measurable.sum() < MIN_VEHICLES:
-        raise TooLittleEvidence(f"{amount(int(measurable.sum()), 'usable vehicles')}, {MIN_VEHICLES} are needed")
-    index = np.flatnonzero(measurable)
-    index = index[np.lexsort(size[index].T[::-1])]  # some stages take every n-th: sorted, so that order is irrelevant
-    size = size[index]
+    index, size = _measurable(votes, ruler)
     geometry = np.zeros((2, 2)) if geometry is None else geometry
     seen = Seen(np.log(size), vote_noise(votes, ruler)[index], _called(votes, ruler)[index])
     share_px = np.median(votes.pixel[index, None] / size, axis=0)  # one pixel as a share of length and width
@@ -132,7 +125,7 @@ def pool(
         fleet=fleet.code,
         verdict=verdict(judged, best.tension > CHECK_LIMIT, together.conflict > 0, together.support.doubted),
         used=used,
-        reasons=reasons(used, index, fleeting, np.log(size), mean),
+        reasons=reasons(used, index, votes.fleeting, np.log(size), mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
@@ -140,6 +133,17 @@ def pool(
         support=together.support,
         by_vehicles=parts,
     )
+
+
+def _measurable(votes: Votes, ruler: Ruler) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (M,) of the votes that can be used, in the order of their sizes, and these sizes (M, 2) without the
+    margin [units]. Raises TooLittleEvidence for fewer than MIN_VEHICLES."""
+    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
+    index = np.flatnonzero((size > SMALLEST_SHARE * votes.size).all(1) & ~votes.fleeting)
+    if len(index) < MIN_VEHICLES:
+        raise TooLittleEvidence(f"{amount(len(index), 'usable vehicles')}, {MIN_VEHICLES} are needed")
+    index = index[np.lexsort(size[index].T[::-1])]  # some stages take every n-th: sorted, so that order is irrelevant
+    return index, size[index]
 
 
 def _widened(best: _Vehicles) -> tuple[Posterior, dict[str, float]]:

@@ -58,7 +58,7 @@ def ground_size(
     sides = boxes.xylwa[:, 2:4]
     seen = _effective(boxes, views, priors) if variant.effective else np.array([priors[:2]])
     reach = views.ground[:, 2] if variant.ray_length else np.linalg.norm(views.ground, axis=1)
-    metres_per_unit = variant.factor * seen / sides * (_focal(views) / reach)[:, None]
+    metres_per_unit = variant.factor * seen / sides * (views.focal / reach)[:, None]
     return np.asarray(priors[:2]) / metres_per_unit
 
 
@@ -76,7 +76,7 @@ def focal_plane_scale(boxes: Boxes, views: Views, variant: Variant = TEXT) -> np
     """
     altitude_units = -(views.ground * views.normal).sum(1)
     scale = np.asarray(PRIORS[:2]) / ground_size(boxes, views, variant=variant)
-    return scale * (altitude_units / _focal(views))[:, None]
+    return scale * (altitude_units / views.focal)[:, None]
 
 
 def relative_orientation(boxes: Boxes, views: Views) -> np.ndarray:
@@ -99,8 +99,3 @@ def _effective(boxes: Boxes, views: Views, priors: tuple[float, float, float]) -
         ],
         -1,
     )
-
-
-def _focal(views: Views) -> np.ndarray:
-    """(N,) focal length [px] at each box: that of the lens there, the geometric mean of both axes."""
-    return np.sqrt(np.abs(np.linalg.det(views.lens)))

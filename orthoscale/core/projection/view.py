@@ -50,7 +50,11 @@ class Views:
         return np.arcsin(np.clip(-(self.ground * self.normal).sum(1) / distance, -1, 1))
 
     @property
+    def focal(self) -> np.ndarray:
+        """(N,) focal length [px] at each box: that of the lens there, the geometric mean of both axes."""
+        return np.sqrt(np.abs(np.linalg.det(self.lens)))
+
+    @property
     def unit_per_pixel(self) -> np.ndarray:
         """(N,) model units that one pixel covers across the viewing ray."""
-        focal = np.sqrt(np.abs(np.linalg.det(self.lens)))
-        return self.ground[:, 2] / focal
+        return self.ground[:, 2] / self.focal

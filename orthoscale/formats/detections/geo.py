@@ -164,7 +164,8 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
 def write_geopackage(
     path: Path, boxes: Mapping[str, Boxes], place: Georeference | None, note: Mapping[str, Any]
 ) -> None:
-    """Write the layer `vehicles`, in the raster's own coordinates if `place` is known, else in pixels."""
+    """Write the layer `vehicles`, in the raster's own coordinates if `place` is known, else in pixels. Raises
+    OutputError."""
     import warnings
 
     import pyogrio.raw

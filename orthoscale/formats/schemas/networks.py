@@ -71,7 +71,7 @@ class CardEntry(Struct, forbid_unknown_fields=True):
     stride: Annotated[int, Meta(ge=1, le=1024)] = 32
     body: Name = "car"
     normalisation: NormalisationEntry | UnsetType = UNSET
-    extra: dict[str, Any] = {}
+    extra: dict[str, Any] = {}  # what its makers note besides; nothing here reads it
 
     def __post_init__(self) -> None:
         check_body(self.body)
@@ -86,7 +86,7 @@ class EmbeddingCardEntry(Struct, forbid_unknown_fields=True):
     size: Annotated[int, Meta(ge=16, le=4096)] | None = None
     normalisation: NormalisationEntry | UnsetType = UNSET
     licence: Text = ""
-    extra: dict[str, Any] = {}
+    extra: dict[str, Any] = {}  # what its makers note besides; nothing here reads it
 
 
 class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
