@@ -45,6 +45,7 @@ LOOKING = (
 CODE = (
     "core/angles.py",
     "core/boxes.py",
+    "core/source.py",  # the grey of pixels without data
     *(f"detect/{name}.py" for name in LOOKING),
     *RASTER_CODE,
     "sources/picture_file.py",

@@ -42,17 +42,16 @@ def parking_pitch(
     size: np.ndarray,
     stalls: Mapping[str, Mapping[str, Any]],
     country: str,
-    min_vehicles: int = MIN_IN_ROWS,
 ) -> AnchorVote | None:
-    """The pitch of parking rows, as an anchor; None where no rows show one, or `country` has no standard.
+    """The pitch of parking rows, as an anchor; None where no rows of MIN_IN_ROWS vehicles together show one, or
+    `country` has no standard.
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
     [m]. country : ISO code, or the key of a row; for ``WORLD`` the pitch may follow any row's standard.
-    min_vehicles : in rows, below which no pitch is measured.
     """
     rules = [key for key, stall in stalls.items() if country in (WORLD, key, *stall.get("countries", ()))]
-    if not rules or len(place) < min_vehicles:
+    if not rules or len(place) < MIN_IN_ROWS:
         return None
     length, width = np.median(size, axis=0)
     row, distance = _rows(place, along, float(length), float(width))
@@ -67,7 +66,7 @@ def parking_pitch(
     fits = np.cos(2 * np.pi * distance / pitch)
     repeats = apart.any() and min(fits[apart].mean(), fits[~apart].mean()) > RHYTHM
     vehicles = len(np.unique(row[:, 1:]))
-    if vehicles < min_vehicles or not repeats or not candidates[0] < pitch < candidates[-1]:
+    if vehicles < MIN_IN_ROWS or not repeats or not candidates[0] < pitch < candidates[-1]:
         return None
     # How far the pitch moves when one row is left out (Tukey's jackknife), which needs at least two rows.
     left_out = candidates[np.argmax(together - rhythm, axis=1)]

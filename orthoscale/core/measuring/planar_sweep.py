@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class SweepGeometry:
         """
         pictures = {picture.name: picture for picture in source.ground_pictures}
         lost = {**doubts(found), TOO_FLAT: 0, TOO_COARSE: 0}
-        parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
+        parts, names = [], []
         for name, boxes in found.boxes.items():
             picture = pictures.get(name)
             if picture is None or not len(boxes):
@@ -92,33 +93,27 @@ class SweepGeometry:
             whole, sharp, offset = _whole(picture, boxes)
             lost[TOO_FLAT] += int((~whole).sum())
             lost[TOO_COARSE] += int((whole & ~sharp).sum())
-            whole &= sharp
-            parts.append(boxes[whole])
-            names += [name] * int(whole.sum())
-            offsets.append(offset[whole])
-            heights.append(np.full(int(whole.sum()), picture.camera_height))
-            places.append(picture.ground(boxes.centre[whole]))
-            alongs.append(picture.ground(boxes.centre[whole] + _heading(boxes[whole])) - places[-1])
+            parts.append(_Above.of(picture, boxes[whole & sharp], offset[whole & sharp]))
+            names += [name] * len(parts[-1].boxes)
         if len(names) < MIN_VEHICLES:
             raise TooLittleEvidence(f"{len(names)} {CALLED_ABOVE}, {MIN_VEHICLES} are needed")
-        boxes, along = Boxes.concatenate(parts), np.concatenate(alongs)
-        camera = np.concatenate(heights)
+        above = _Above.all_of(parts)
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
-        flat = ground_size(boxes) * unit_per_pixel
+        flat = ground_size(above.boxes) * unit_per_pixel
         images = np.array([pictures[name].image for name in names])
-        footing = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
+        footing = standing_in_model(source, images, above.place, np.median(flat, axis=0))
         farther = (1 + footing.lower)[:, None]
         card = card_of(found)
         return cls(
             source=source,
             found=found,
-            boxes=boxes,
+            boxes=above.boxes,
             picture=np.array(names),
             pixel=unit_per_pixel / found.zoom * farther[:, 0],
-            along=along / np.linalg.norm(along, axis=1, keepdims=True),
+            along=above.along,
             flat=flat * farther,
-            offset=_along(boxes, np.concatenate(offsets)) / source.focal.ratio,
-            camera=camera[:, None] * farther * source.focal.ratio,
+            offset=above.offset / source.focal.ratio,
+            camera=above.camera * farther * source.focal.ratio,
             focal_sd=source.focal.sd,
             footing=footing,
             card=card,
@@ -185,6 +180,31 @@ class SweepGeometry:
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """Nothing: the frames themselves show more."""
         return Findings()
+
+
+class _Above(NamedTuple):
+    """Boxes in ground pictures. place : (N, 3) on the ground of the sparse points. along, offset, camera : as in
+    `SweepGeometry`, for that ground and the model's own focal length."""
+
+    boxes: Boxes
+    place: np.ndarray
+    along: np.ndarray
+    offset: np.ndarray
+    camera: np.ndarray
+
+    @classmethod
+    def of(cls, picture: GroundView, boxes: Boxes, offset: np.ndarray) -> _Above:
+        """Those of one `picture`; their offsets from below the camera in its own axes."""
+        place = picture.ground(boxes.centre)
+        along = picture.ground(boxes.centre + _heading(boxes)) - place
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        return cls(boxes, place, along, _along(boxes, offset), np.full((len(boxes), 1), picture.camera_height))
+
+    @classmethod
+    def all_of(cls, parts: Sequence[_Above]) -> _Above:
+        """Those of all pictures."""
+        boxes, *values = zip(*parts, strict=True)
+        return cls(Boxes.concatenate(boxes), *map(np.concatenate, values))
 
 
 def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
