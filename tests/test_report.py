@@ -36,7 +36,7 @@ from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
 from orthoscale.requests import EstimateRequest, FixRequest, command_line
 from orthoscale.sources.opening import open_source
-from orthoscale.system.paths import name_of
+from orthoscale.system.paths import name_of, title_of
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +163,14 @@ def test_what_was_given_as_this_folder_is_called_by_its_name(report, tmp_path, g
     there = {**report, "input": {**report["input"], "path": given, "folder": str(tmp_path / "site/flight")}}
     assert re.search("<title>(.*)</title>", page(there, ReportPictures()))[1].endswith(f"scale of {called}")
     assert name_of(given, tmp_path / "site/flight") == called
+
+
+def test_a_model_in_a_numbered_folder_is_called_with_the_folder_above(report):
+    """The picture of COLMAP's ``sparse/0`` was headed "fleet US; 0"."""
+    there = {**report, "input": {**report["input"], "path": "sparse/0", "folder": "/work/site"}}
+    assert re.search("<title>(.*)</title>", page(there, ReportPictures()))[1].endswith("scale of sparse/0")
+    assert title_of("0", "/work/site/sparse") == title_of(".", "/work/site/sparse/0") == "sparse/0"
+    assert title_of("0001.jpg") == "0001.jpg"
 
 
 def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):

@@ -96,6 +96,8 @@ def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Pro
     path = None if how.detector is None else Path(how.detector)
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
+    if how.calibration is not None:
+        load_calibration(path_given := Path(how.calibration)).require_of(detector.name, detector.sha256, path_given)
     zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
