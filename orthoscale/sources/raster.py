@@ -17,6 +17,7 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.claims import NO_PROOF
 from ..core.control import READING_SD
 from ..core.projection.planar import square_pixels
 from ..core.remarks import CAUTION, INFO, Remark, informing
@@ -108,8 +109,7 @@ class RasterSource:
             )
             self.notes.append(Remark(CAUTION, text))
         if SCALE_TAG in dataset.tags():
-            text = "by its metadata, orthoscale gave it its scale: agreement with vehicles does not confirm it"
-            self.notes.append(Remark(INFO, text))
+            self.notes.append(Remark(INFO, f"by its metadata, {NO_PROOF}"))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
