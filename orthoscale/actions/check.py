@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import NO_PROOF, NOT_TOLD, BY_ORTHOSCALE, Comparison, metric_claim, own_claim
+from ..core.claims import BY_ORTHOSCALE, NO_PROOF, NOT_TOLD, Comparison, metric_claim, own_claim
 from ..core.remarks import INFO, Remark
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
