@@ -16,6 +16,7 @@ import pytest
 from PIL import Image, ImageDraw, ImageFont
 from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
+from test_dense_ground import write_cloud
 
 import orthoscale
 from orthoscale.actions.finished import is_finished
@@ -251,6 +252,18 @@ def test_a_report_below_a_folder_whose_name_is_not_utf_8_is_drawn_again(tmp_path
         (folder / "sparse").rename(tmp_path / "gone")
     why = redraw(report, folder / "report.html")
     assert (why == "") if there else why.endswith("sparse is not there")
+
+
+def test_a_dense_cloud_made_since_does_not_change_the_model_of_a_report(tmp_path):
+    """After `post_sparse.sh` follows stereo; the report of the sparse model then had no pictures."""
+    work = tmp_path / "work"
+    shutil.copytree(EXAMPLE / "sparse", work / "sparse/0")
+    options = {"fleet": "US", "mode": "planar", "detections": EXAMPLE / "detections.json", "report": "json"}
+    orthoscale.fix(work / "sparse/0", tmp_path / "scaled", **options)
+    write_cloud(work / "dense/fused.ply", np.zeros((3, 3)))
+    assert redraw(tmp_path / "scaled/report.json", tmp_path / "again.html") == ""
+    with pytest.raises(UsageError, match="0, or the dense cloud of its ground, has changed since"):
+        is_finished(work / "sparse/0", tmp_path / "scaled", FixRequest.of(options))
 
 
 def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):
