@@ -29,7 +29,8 @@ command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip 
 
 # Write to a temporary folder, then rename it, so that an interrupted run is not taken for a complete one. The folder
 # belongs to a run as long as the process named in it exists.
-partial="$workspace/.dense_metric.partial"
+# Absolute, so that what orthoscale prints begins with it: it says `./work` as `work`.
+partial=$(CDPATH='' cd -- "$workspace" && pwd)/.dense_metric.partial
 if ! mkdir "$partial" 2>/dev/null; then
     writer=$(cat "$partial/.writer" 2>/dev/null) || { echo "$partial is in the way: remove it" >&2; exit 2; }
     if kill -0 "$writer" 2>/dev/null; then

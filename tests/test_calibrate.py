@@ -230,8 +230,20 @@ def test_the_local_fleet_travels_with_the_file(place, tmp_path):
 def test_a_calibration_is_for_its_own_detector(place, tmp_path):
     out = tmp_path / "ruler.json"
     save_calibration(Calibration("another", "ff", Ruler(), None, {}), out)
-    with pytest.raises(UsageError, match="was measured for another, but these boxes are those of"):
+    with pytest.raises(UsageError, match="was measured for another, not for "):
         orthoscale.estimate(place / "place.png", detector=place / "net.onnx", zoom=0.9, calibration=out)
+
+
+def test_a_calibration_of_another_detector_is_refused_before_the_sweep(place, tmp_path):
+    """Where the detector found nothing, the scale came from anchors alone and nobody heard of it; nor did --dry-run
+    say so."""
+    out, empty = tmp_path / "ruler.json", tmp_path / "empty.jpg"
+    save_calibration(Calibration("another", "ff", Ruler(), None, {}), out)
+    cv2.imwrite(str(empty), np.full((200, 200, 3), 60, np.uint8))
+    options = ["--detector", place / "net.onnx", "--calibration", out]
+    for words in (["estimate", empty], ["estimate", empty, "--dry-run"], ["photo", empty, "--focal-px", 300]):
+        result = command(*words, *options)
+        assert isinstance(result.exception, UsageError) and "was measured for another" in str(result.exception)
 
 
 def test_what_cannot_be_calibrated(place, tmp_path):

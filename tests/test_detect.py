@@ -194,7 +194,8 @@ def test_the_shipped_detector_is_small_and_says_what_it_is():
     (False, {}, Passes.COARSE_FIRST), (False, {"measurer": "none"}, Passes.COARSE_FIRST),
 ])  # fmt: skip
 def test_who_looks_at_what_is_told_by_the_input_and_the_request(plan, options, passes):
-    detector = detector_of(SimpleNamespace(plan=object() if plan else None), EstimateRequest(**options))
+    asked = SimpleNamespace(source=SimpleNamespace(plan=object() if plan else None), calibration=None)
+    detector = detector_of(asked, EstimateRequest(**options))
     assert detector.passes == passes
     assert (detector.confirming is not None) == (passes in (Passes.CONFIRMED, Passes.TWICE_CONFIRMED))
 

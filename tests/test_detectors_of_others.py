@@ -125,8 +125,9 @@ def test_which_names_are_vehicles(name, counts):
 
 def test_nameless_classes_need_a_number(tmp_path):
     path = network(tmp_path / "a.onnx", {"output0": raw()}, {"task": "obb"})
-    with pytest.raises(UsageError, match="it has no names of its classes"):
+    with pytest.raises(UsageError, match="it has no names of its classes") as caught:
         Detector(path)
+    assert "by number, 0 to 2: --vehicle-class NUMBER" in caught.value.hint, "10 is right for DOTA's alone"
     assert len(found(path, vehicle_classes=["1"])[1]) == 2
     path = network(tmp_path / "b.onnx", mmrotate(large=3, small=18))
     assert len(found(path, vehicle_classes=["18"])[1]) == 2, "DIOR has more classes than DOTA"

@@ -158,6 +158,16 @@ def test_post_dense_follows_the_layout(bench):
     assert bench.stamps() == before and not list(bench.work.glob(".*"))
 
 
+@pytest.mark.parametrize("workspace", [".", "./", "../work/"])
+def test_post_dense_names_what_it_wrote_wherever_it_is_called(bench, workspace):
+    """orthoscale says `./x` as `x`: the folder for the time being stood in the message."""
+    bench.sparse()
+    dense_workspace(bench.work / "dense")
+    command = [HOOKS / "post_dense.sh", workspace, *OPTIONS]
+    done = subprocess.run(command, env=bench.environment, capture_output=True, text=True, cwd=bench.work)
+    assert f"written    {workspace}/dense_metric\n" in done.stdout and "partial" not in done.stdout, done.stderr
+
+
 def test_post_dense_knows_a_dead_run_from_a_living_one(bench):
     bench.sparse()
     dense_workspace(bench.work / "dense")

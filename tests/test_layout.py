@@ -563,6 +563,16 @@ def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, ring, opti
     assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()
 
 
+def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):
+    """In numbers that can be read: the corner of a copy that `fix` writes may lie at -9e-29."""
+    path = orthophoto(tmp_path)
+    with rasterio.open(path, "r+") as file:
+        file.transform = Affine(0.1, 0, -9.2e-29, 0, -0.1, 50)
+    lot = lot_file(tmp_path / "lot.geojson", [(500, 500), (560, 500), (560, 560)])
+    done = run(path, "--lot", lot, "--facility", "padel", "--out", tmp_path / "out")
+    assert "from (0, 0) to (70, 50) in its own coordinates" in done.stderr
+
+
 def test_an_orthophoto_with_a_world_file_alone(tmp_path):
     with rasterio.open(
         tmp_path / "a.tif", "w", "GTiff", 700, 500, 3, None, Affine(0.1, 0, 5, 0, -0.1, 9), "uint8"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -25,6 +26,7 @@ from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
+from orthoscale.system.paths import titles_of
 
 SLOW = pytest.mark.slow
 
@@ -122,6 +124,16 @@ def test_a_claim_is_told_with_its_unit(tmp_path, claim, unit):
     write_summary([row], tmp_path / "a.html", tmp_path / "a.html")
     assert f"0.0851 {unit}: {claim}" in (tmp_path / "a.html").read_text()
     assert f"its claim of 0.0851 {unit} {claim}" in line(row)
+
+
+def test_inputs_of_one_name_are_told_apart_on_the_page(tmp_path):
+    """All orthophotos of ODM have one name, and all models of COLMAP are called 0."""
+    names = ["p/a/odm_orthophoto/o.tif", "p/b/odm_orthophoto/o.tif", "x/sparse/0", "y/sparse/0", "lone.tif", "lone.tif"]
+    rows = [{**dict.fromkeys(many.COLUMNS), "input": name, "exit_code": 3, "error": "x", "hint": ""} for name in names]
+    write_summary(rows, tmp_path / "out.html", tmp_path / "out.html")
+    shown = re.findall(r'<td class="name"[^>]*>(.*?)<', (tmp_path / "out.html").read_text())
+    assert shown == ["a/odm_orthophoto/o.tif", "b/odm_orthophoto/o.tif", "x/sparse/0", "y/sparse/0", *names[-2:]]
+    assert titles_of(["a/../b.tif", "b.tif"]) == ["b.tif"] * 2
 
 
 @pytest.mark.parametrize("ending", ["csv", "json", "gpkg", "html"])

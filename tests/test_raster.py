@@ -23,6 +23,7 @@ import pyproj
 import pytest
 import rasterio
 from PIL import Image, ImageCms, PngImagePlugin
+from PIL.ExifTags import IFD
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
@@ -298,6 +299,22 @@ def test_a_picture_that_a_viewer_turns_says_whose_pixels_count(tmp_path, turned)
     Image.fromarray(np.moveaxis(scene(), 0, -1)).save(tmp_path / "a.jpg", exif=exif)
     notes = [str(note) for note in RasterSource.open(tmp_path / "a.jpg").notes if "EXIF orientation" in str(note)]
     assert len(notes) == (turned == 6)
+
+
+@pytest.mark.parametrize("suffix, told", [("jpg", True), ("tif", False)])
+def test_a_photo_that_is_taken_for_an_orthophoto_says_what_measures_photos(tmp_path, suffix, told):
+    """A folder of a drone's frames gave 18 refusals, none of which said that they were frames."""
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "jpg":
+        exif = Image.Exif()
+        exif.get_ifd(IFD.Exif)[0xA405] = 20
+        Image.fromarray(np.moveaxis(scene(), 0, -1)).save(path, exif=exif)
+    else:
+        make(path, **UTM)
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(EXIF_FocalLength="(3.61)")
+    cautions = [note for note in RasterSource.open(path).notes if "orthoscale photo" in note.text]
+    assert [note.severity for note in cautions] == ["caution"] * told
 
 
 def test_another_thread_may_read(tmp_path):

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image, ImageDraw, ImageFont
 from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
+from test_dense_ground import write_cloud
 
 import orthoscale
 from orthoscale.actions.finished import is_finished
@@ -36,7 +37,7 @@ from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
 from orthoscale.requests import EstimateRequest, FixRequest, command_line
 from orthoscale.sources.opening import open_source
-from orthoscale.system.paths import name_of
+from orthoscale.system.paths import name_of, title_of
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +166,14 @@ def test_what_was_given_as_this_folder_is_called_by_its_name(report, tmp_path, g
     assert name_of(given, tmp_path / "site/flight") == called
 
 
+def test_a_model_in_a_numbered_folder_is_called_with_the_folder_above(report):
+    """The picture of COLMAP's ``sparse/0`` was headed "fleet US; 0"."""
+    there = {**report, "input": {**report["input"], "path": "sparse/0", "folder": "/work/site"}}
+    assert re.search("<title>(.*)</title>", page(there, ReportPictures()))[1].endswith("scale of sparse/0")
+    assert title_of("0", "/work/site/sparse") == title_of(".", "/work/site/sparse/0") == "sparse/0"
+    assert title_of("0001.jpg") == "0001.jpg"
+
+
 def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):
     scene = ReportPictures.of(report, open_source(park[0] / "park.png"))
     assert len(scene.overviews) == 1 and len(scene.used) == 24 and len(scene.rejected) == 1
@@ -243,6 +252,18 @@ def test_a_report_below_a_folder_whose_name_is_not_utf_8_is_drawn_again(tmp_path
         (folder / "sparse").rename(tmp_path / "gone")
     why = redraw(report, folder / "report.html")
     assert (why == "") if there else why.endswith("sparse is not there")
+
+
+def test_a_dense_cloud_made_since_does_not_change_the_model_of_a_report(tmp_path):
+    """After `post_sparse.sh` follows stereo; the report of the sparse model then had no pictures."""
+    work = tmp_path / "work"
+    shutil.copytree(EXAMPLE / "sparse", work / "sparse/0")
+    options = {"fleet": "US", "mode": "planar", "detections": EXAMPLE / "detections.json", "report": "json"}
+    orthoscale.fix(work / "sparse/0", tmp_path / "scaled", **options)
+    write_cloud(work / "dense/fused.ply", np.zeros((3, 3)))
+    assert redraw(tmp_path / "scaled/report.json", tmp_path / "again.html") == ""
+    with pytest.raises(UsageError, match="0, or the dense cloud of its ground, has changed since"):
+        is_finished(work / "sparse/0", tmp_path / "scaled", FixRequest.of(options))
 
 
 def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):

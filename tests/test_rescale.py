@@ -907,6 +907,10 @@ def test_unknown_and_missing_files(tmp_path):
     for path in (tmp_path / "a.las", tmp_path / "none.ply"):
         with pytest.raises(OrthoscaleError, match=path.name):
             scale_path(path, tmp_path / "b", 2)
+    (tmp_path / "dsm.tif").write_bytes(b"II*")
+    with pytest.raises(InputError) as caught:
+        scale_path(tmp_path / "dsm.tif", tmp_path / "b", 2)
+    assert "multiply heights" in caught.value.hint, "no other format would help"
 
 
 # --- What hostile files announce, name and leave out ----------------------------------------------------------------

@@ -166,3 +166,12 @@ def test_measured_vehicles_lose_their_shadows():
     assert np.median(width[dark]) / np.median(width[~dark]) == pytest.approx(1.0, abs=0.03)
     assert np.median(width[~dark]) == pytest.approx(25, abs=0.3)
     assert any("dark vehicles" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("added, told", [(2e-4, False), (2e-3, True)])
+def test_a_correction_of_nothing_is_not_told(monkeypatch, added, told):
+    """ "By +0.0 % in length and +0.0 % in width: corrected" stood in the notes."""
+    truth = Boxes(np.array([[100.0, 100, 60, 25, 0]]), np.ones(1))
+    monkeypatch.setattr("orthoscale.detect.remeasure.shadows", lambda *_: np.array([0, added]))
+    got = remeasured([Drawing(300, 200, truth)], found(proposed(truth)), Sees(truth), QUIET)
+    assert any("dark vehicles" in note for note in got.notes) == told

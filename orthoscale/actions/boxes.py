@@ -48,7 +48,7 @@ def boxes_of(
     if request.detections is not None:
         found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, request.alone)
     else:
-        found, choice = _looked_for(asked.source, request, asked.fleet, progress)
+        found, choice = _looked_for(asked, request, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
@@ -59,10 +59,12 @@ def boxes_of(
 
 
 def _looked_for(
-    source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
+    asked: Opened, request: EstimateRequest, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees; both name the input."""
-    effort, network = effort_of(request), detector_of(source, request)
+    """The vehicles found by a detector. Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees; the last
+    two name the input."""
+    source, fleet = asked.source, asked.fleet
+    effort, network = effort_of(request), detector_of(asked, request)
     zoom = user_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
@@ -104,12 +106,16 @@ def effort_of(request: EstimateRequest) -> Effort:
     return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
-def detector_of(source: Source, request: EstimateRequest) -> Detector:
-    """The detector that `request` asks for, for `source`. Raises InputError, UsageError."""
+def detector_of(asked: Opened, request: EstimateRequest) -> Detector:
+    """The detector that `request` asks for, for its source. Raises InputError; UsageError, also if the calibration is
+    another detector's, before any sweep: without vehicles there would be no boxes to compare it with."""
     path = None if request.detector is None else Path(request.detector)
     # A user's own network processes one image at a time, with all cores.
     threads = effort_of(request).threads_each if path is None else 0
-    return Detector(path, request.decoder, request.vehicle_classes, threads, _passes(source, request))
+    detector = Detector(path, request.decoder, request.vehicle_classes, threads, _passes(asked.source, request))
+    if asked.calibration is not None:
+        asked.calibration.require_of(detector.name, detector.sha256, Path(str(request.calibration)))
+    return detector
 
 
 def _passes(source: Source, request: EstimateRequest) -> Passes:

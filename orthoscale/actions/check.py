@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import NOT_TOLD, Comparison, metric_claim, own_claim
+from ..core.claims import BY_ORTHOSCALE, NO_PROOF, NOT_TOLD, Comparison, metric_claim, own_claim
+from ..core.remarks import INFO, Remark
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
@@ -86,6 +87,9 @@ def checked(
     require_claim(source)
     result = measured(source, request, progress, on_boxes)
     found = comparisons(result)
+    if source.posed is not None and source.metric_already.startswith(BY_ORTHOSCALE):  # an orthophoto's metadata say so
+        scale = result.scale.remarked(Remark(INFO, NO_PROOF))
+        result = replace(result, measured=replace(result.measured, scale=scale))
     if source.posed is not None and not found and not source.metric_already:
         result.require_useful()
         scale = result.scale

@@ -65,7 +65,7 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
     if other := _other_options(request, report["settings"]):
         return f"was made with other options ({', '.join(other)})"
     if source.content_hash() != report["input"]["sha256"]:
-        return f"{source.path} has changed since"
+        return f"{source.path}{', or the dense cloud of its ground,' * (source.posed is not None)} has changed since"
     written = _place(out).stat().st_mtime
     if (part := _later(_copied(out), written)) is not None:
         return f"{part} has changed since it was made"

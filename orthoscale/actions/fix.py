@@ -137,7 +137,7 @@ def _begin(
     if source.metric_already and not request.override:  # an existing scale is replaced only if the user says so
         raise MetricAlready(
             f"{path} is in metres already: {source.metric_already}",
-            "Compare that with the vehicles using `orthoscale estimate`, or replace its scale with --override.",
+            "Compare that with the vehicles using `orthoscale check`, or replace its scale with --override.",
         )
     main, parts = writer.places(outputs)
     boxes = KeptBoxes(outputs, save_detections)

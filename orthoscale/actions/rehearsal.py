@@ -41,7 +41,7 @@ def rehearsal(
         boxes = load_detections(Path(request.detections), source, request.vehicle_classes, request.alone)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
-        rows.append(("detector", detector_of(source, request).name))
+        rows.append(("detector", detector_of(asked, request).name))
     measurer_of(request)  # raises if its file is no network
     rows += [("also", evidence.says) for evidence in asked.given]
     claim = source.claimed

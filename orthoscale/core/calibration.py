@@ -40,14 +40,19 @@ class Calibration:
     fleet_entry: Mapping[str, Any] | None
     made_from: Mapping[str, Any]
 
+    def require_of(self, detector: str, sha256: str, path: Path) -> None:
+        """Raise UsageError if this is not a calibration of `detector`, whose file has the hash `sha256`; the message
+        names `path`, the calibration's file."""
+        if sha256 != self.detector_sha256:
+            raise UsageError(
+                f"{path} was measured for {self.detector}, not for {detector}",
+                "Calibrate the detector that is used: orthoscale calibrate ORTHO --detector FILE.",
+            )
+
     def applied(self, found: Detections, path: Path) -> Detections:
         """`found` with this ruler. Raises UsageError if the boxes are another detector's; the message names `path`, the
         calibration's file."""
-        if found.detector_sha256 != self.detector_sha256:
-            raise UsageError(
-                f"{path} was measured for {self.detector}, but these boxes are those of {found.detector}",
-                "Calibrate the detector that is used: orthoscale calibrate ORTHO --detector FILE.",
-            )
+        self.require_of(found.detector, found.detector_sha256, path)
         planar = found.planar
         if planar is not None and planar.detector_sha256 == self.detector_sha256:
             planar = replace(planar, ruler=self.ruler)

@@ -20,6 +20,8 @@ METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 # positions of a single receiver are metric within some per cent. If arbitrary units are spread evenly over two decades,
 # one model in twenty-three has such a unit by chance. A judgement.
 NEARLY_METRIC = 0.1
+BY_ORTHOSCALE = "orthoscale wrote it"  # begins what a model says that counts as metric because it is a copy by `fix`
+NO_PROOF = "orthoscale gave it its scale: agreement with vehicles does not confirm it"
 NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] units with which a claim without a unit is compared
 # Factors (truth over claim) and the mistakes that cause them. A ratio close to one of them is a hint, no proof.

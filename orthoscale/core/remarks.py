@@ -16,6 +16,7 @@ SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are
 ONE = {  # the singular of each plural word
     "vehicles": "vehicle",
     "boxes": "box",
+    "photos": "photo",
     "do": "does",
     "them": "it",
 }

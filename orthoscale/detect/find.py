@@ -208,7 +208,7 @@ def find_zoom(
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
-            f"({sum(row[1] for row in choice.table)} boxes of low confidence, "
+            f"({amount(sum(row[1] for row in choice.table), 'boxes of low confidence')}, "
             f"{sum(row[2] for row in choice.table)} of them at two factors)",
             "If there are vehicles, give their size: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
         )

@@ -162,18 +162,15 @@ def _ultralytics(
 ) -> NetworkForm:
     names = _names(metadata)
     (shape,) = outputs.values()
-    if names is None and "names" in metadata and not wanted:
-        raise InputError(
-            f"{path}: the names of its classes cannot be read", "Name the class of small vehicles: --vehicle-class 10"
-        )
+    count = shape[1] - 5 if decoder == "ultralytics" and shape[1] else None
     if names is None and not wanted:
-        raise UsageError(
-            f"{path}: it has no names of its classes",
-            "Give the class of small vehicles by number: --vehicle-class 10",
-        )
+        of = "" if count is None else f", 0 to {count - 1}" if count > 1 else ", 0"
+        hint = f"Give the class of small vehicles by number{of}: --vehicle-class NUMBER; of the 15 in DOTA it is 10."
+        if "names" in metadata:
+            raise InputError(f"{path}: the names of its classes cannot be read", hint)
+        raise UsageError(f"{path}: it has no names of its classes", hint)
     if names is None:
-        count = shape[1] - 5 if decoder == "ultralytics" and shape[1] else 1000
-        names = [str(k) for k in range(count)]
+        names = [str(k) for k in range(count or 1000)]
     elif decoder == "ultralytics" and shape[1] not in (None, len(names) + 5):
         raise InputError(
             f"{path}: {len(names)} class names, but outputs {_words(outputs)} hold {(shape[1] or 5) - 5} classes",

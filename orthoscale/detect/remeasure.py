@@ -145,8 +145,8 @@ def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
     """What measuring changed, for the report. no_vehicles : number of boxes that no longer count."""
     if no_vehicles:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
-    if seen.too_large.any():
-        length, width = (signed(each) for each in np.expm1(seen.too_large))
+    length, width = (signed(each) for each in np.expm1(seen.too_large))
+    if {length, width} != {signed(0.0)}:
         yield f"shadows made dark vehicles appear larger, by {length} in length and {width} in width: corrected"
     if seen.enlarged > 1:
         yield f"the picture is enlarged {float(seen.enlarged):g} times beyond its detail: measured at reduced size"

@@ -219,7 +219,8 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     inside = area.intersection(picture)
     if inside.area < 1e-3 * area.area or not area.area > 0:
         corners = ground.to_crs(shapely.get_coordinates(picture))
-        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+        ends = np.concatenate([corners.min(0), corners.max(0)])
+        x0, y0, x1, y1 = np.round(ends, 8) + 0.0  # to a millimetre, also in degrees; of what is nearly 0 no -1e-28
         raise InputError(
             f"{path}: lies outside of {ground.source.name}",
             f"The picture goes from ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in its own coordinates; "

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from ..core.calibration import Calibration
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.progress import Progress
@@ -73,6 +74,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
     the boxes are in their `notes`.
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
+    calibration = None if how.calibration is None else load_calibration(Path(how.calibration))
     if how.detections is not None:
         from ..formats.detections import load
 
@@ -80,13 +82,15 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
         found = load(Path(how.detections), album, how.vehicle_classes)
         found = replace(found, notes=(*found.notes, *(note.text for note in album.notes)))
     else:
-        found = _detected(photos, how, fleet, progress)
-    if how.calibration is not None:
-        found = load_calibration(path := Path(how.calibration)).applied(found, path)
+        found = _detected(photos, how, fleet, calibration, progress)
+    if calibration is not None:
+        found = calibration.applied(found, Path(str(how.calibration)))
     return replace(found, notes=(*found.notes, *found.assumed))
 
 
-def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Progress | None) -> Detections:
+def _detected(
+    photos: Sequence[Photo], how: Looking, fleet: Fleet, calibration: Calibration | None, progress: Progress | None
+) -> Detections:
     from ..detect.detector import Detector, Passes
     from ..detect.find import Effort, find_vehicles
     from ..detect.measurer import Measurer
@@ -96,6 +100,8 @@ def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Pro
     path = None if how.detector is None else Path(how.detector)
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
+    if calibration is not None:
+        calibration.require_of(detector.name, detector.sha256, Path(str(how.calibration)))
     zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
@@ -103,7 +109,7 @@ def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Pro
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
     found = replace(found, notes=(*found.notes, *detector.notes))
-    if path is not None or how.calibration is not None:
+    if path is not None or calibration is not None:
         return found
     return remeasured([photo.picture for photo in photos], found, Measurer(), effort, progress, MOST_IN_FRAMES)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.remarks import amount
 from ..core.scale import with_interval
 from .measure import Measure, PhotoScale
 from .tables import PhotoOutcome
@@ -114,5 +115,5 @@ def _told(what: str, texts: Sequence[str]) -> list[str]:
         counts[text] = counts.get(text, 0) + 1
     many = len(texts) > 1 and len(counts) > 1
     shown = sorted(counts.items(), key=lambda item: -item[1])[:4]
-    lines = [f"{what:10s} {text}" + (f" ({count} photos)" if many else "") for text, count in shown]
+    lines = [f"{what:10s} {text}" + (f" ({amount(count, 'photos')})" if many else "") for text, count in shown]
     return lines + ([f"{what:10s} and {len(counts) - 4} others"] if len(counts) > 4 else [])

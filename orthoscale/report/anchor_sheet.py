@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.source import Source
 from ..formats.pictures import write_png
-from ..system.paths import name_of
+from ..system.paths import title_of
 from .lettering import write_on
 from .pictures import SHEET_WIDTH, drawn
 from .scene import Panel, anchor_panels, pictures_of
@@ -23,7 +23,7 @@ def draw_anchors(anchors: Sequence[Mapping[str, Any]], source: Source, path: Pat
     """Write a PNG with a crop for each of a report's `anchors`, its fitted lines drawn over the picture."""
     panels = anchor_panels(anchors, pictures_of(source))
     cells = [np.full((60, SHEET_CELL * SHEET_CELLS, 3), 255, np.uint8)]
-    write_on(cells[0], (10, 38), f"{len(anchors)} anchors in {name_of(source.path)}", 22)
+    write_on(cells[0], (10, 38), f"{len(anchors)} anchors in {title_of(source.path)}", 22)
     for start in range(0, len(panels), SHEET_CELLS):
         row = [_cell(panel) for panel in _row(panels[start : start + SHEET_CELLS])]
         used = max(int(np.flatnonzero((cell < 255).any((1, 2))).max(initial=0)) for cell in row) + 8

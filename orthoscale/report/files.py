@@ -93,13 +93,15 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     cloud = settings.get("ground_cloud")
     if cloud not in (None, NO_CLOUD):
         cloud = _there(cloud, starts) or cloud
+    clouds = [cloud] if of_plan(report) else dict.fromkeys([cloud, NO_CLOUD])  # one may lie beside the model only since
     try:
-        source = open_source(found, images, need_images=False, ground_cloud=cloud)
-        if source.content_hash() != report["input"]["sha256"]:
-            return None, f"{found} has changed since"
+        for each in clouds:
+            source = open_source(found, images, need_images=False, ground_cloud=each)
+            if source.content_hash() == report["input"]["sha256"]:
+                return source, ""
     except OrthoscaleError as error:
         return None, error.message
-    return source, ""
+    return None, f"{found}{', or the dense cloud of its ground,' * (not of_plan(report))} has changed since"
 
 
 def _there(name: str, starts: Sequence[Path]) -> Path | None:

@@ -14,7 +14,7 @@ from ..core.normal import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
 from ..requests import command_line
-from ..system.paths import name_of
+from ..system.paths import title_of
 from . import charts, places, wording
 from .document import completed
 from .explanation import explain
@@ -43,7 +43,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
     return template("page.html").render(
         report=report,
-        name=name_of(report["input"]["path"], report["input"]["folder"]),
+        name=title_of(report["input"]["path"], report["input"]["folder"]),
         value=value,
         low=low,
         high=high,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..formats.pictures import write_png
-from ..system.paths import name_of
+from ..system.paths import title_of
 from .drift_map import drift_panel, regions_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, ReportPictures
@@ -45,7 +45,7 @@ def _title(report: Mapping[str, Any]) -> np.ndarray:
     lines = [
         f"{value} {unit}   90 %: {low} to {high}   {report['verdict']}",
         f"{used} vehicles used (blue), {rejected} rejected (orange), fleet {report['fleet']}; "
-        f"{name_of(report['input']['path'], report['input']['folder'])}",
+        f"{title_of(report['input']['path'], report['input']['folder'])}",
     ]
     panel = np.full((62, SHEET_WIDTH, 3), 255, np.uint8)
     for k, line in enumerate(lines):

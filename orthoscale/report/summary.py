@@ -21,7 +21,7 @@ from ..formats.csv_table import write_csv
 from ..formats.degrees import WGS_84
 from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
-from ..system.paths import name_of
+from ..system.paths import titles_of
 from ..system.signatures import has_header, ours
 from .page import template
 
@@ -122,8 +122,8 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
     lines = [
-        {**row, "name": name_of(row["input"]), **_shown(row), "said_claim": claimed(row), "page": _page_of(row, place)}
-        for row in rows
+        {**row, "name": name, **_shown(row), "said_claim": claimed(row), "page": _page_of(row, place)}
+        for row, name in zip(rows, titles_of([row["input"] for row in rows]), strict=True)
     ]
     good = sum(row["exit_code"] == 0 for row in rows)
     text = template("summary.html").render(lines=lines, good=good, format=SUMMARY_FORMAT)

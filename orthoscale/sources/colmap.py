@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.claims import BY_ORTHOSCALE
 from ..core.control import READING_SD
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
@@ -211,7 +212,7 @@ class ColmapSource:
     @property
     def scaled_already(self) -> str:
         """Says that orthoscale wrote this model, whose folder then has a file of ours; empty if it did not."""
-        return f"orthoscale wrote it: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
+        return f"{BY_ORTHOSCALE}: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
 
     @property
     def metric_already(self) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..core.claims import BY_ORTHOSCALE
 from ..core.remarks import informing
 from ..errors import InputError
 from ..formats.geometry.beside import beside
@@ -75,10 +76,10 @@ class ExchangeSource(OneFileSource):
         """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or as for any model; or empty."""
         text = read_poses(self.path)
         if isinstance(text, dict):
-            return "orthoscale wrote it" if MARK in text else self._georeferenced
+            return BY_ORTHOSCALE if MARK in text else self._georeferenced
         part, _ = _largest(self.path, text)
         if MARK in part:
-            return "orthoscale wrote it"
+            return BY_ORTHOSCALE
         placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
         aligned = "reference_lla" in part and len(placed) >= 3
         return "OpenSfM aligned it with the GPS of its images" if aligned else self._georeferenced

@@ -17,6 +17,7 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.claims import NO_PROOF
 from ..core.control import READING_SD
 from ..core.projection.planar import square_pixels
 from ..core.remarks import CAUTION, INFO, Remark, informing
@@ -46,6 +47,7 @@ SMALLEST = 32
 LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
+CAMERA_TAGS = {"EXIF_FocalLength", "EXIF_FocalLengthIn35mmFilm"}  # as GDAL names them; orthophotos have none
 SQUEEZED = 0.05
 """Width over height of a pixel, as a logarithm, from which its user is cautioned: what it leaves open of the scale is
 about a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
@@ -100,9 +102,14 @@ class RasterSource:
                 "are those of the pixels as stored"
             )
             self.notes.append(Remark(INFO, text))
+        if not self.claimed.usable and CAMERA_TAGS & dataset.tags().keys():
+            text = (
+                "its EXIF has a camera's focal length: it is measured as an orthophoto, but seems to be a photo; "
+                "`orthoscale photo` measures photos, and `orthoscale fix` the model that COLMAP makes of them"
+            )
+            self.notes.append(Remark(CAUTION, text))
         if SCALE_TAG in dataset.tags():
-            text = "by its metadata, orthoscale gave it its scale: agreement with vehicles does not confirm it"
-            self.notes.append(Remark(INFO, text))
+            self.notes.append(Remark(INFO, f"by its metadata, {NO_PROOF}"))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (

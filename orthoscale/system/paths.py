@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..errors import UsageError, shown
@@ -41,6 +42,24 @@ def name_of(path: str | Path, folder: str | Path = "") -> str:
     """The name of the file or folder at `path`, relative to `folder`, even if it is given as ``.`` or ``..``."""
     name = Path(path).name
     return name if name not in ("", os.pardir) else absolute(Path(folder, path)).name or str(path)
+
+
+def title_of(path: str | Path, folder: str | Path = "") -> str:
+    """The name for a heading: as `name_of`, and with the folder above where it is only a number, as COLMAP's
+    ``sparse/0``."""
+    name = name_of(path, folder)
+    return "/".join(absolute(Path(folder, path)).parts[-2:]) if name.isdecimal() else name
+
+
+def titles_of(paths: Sequence[str | Path]) -> list[str]:
+    """A title for each of `paths`, in their order, with as many of the folders above as tell it from the others."""
+    whole = [absolute(path) for path in paths]
+    titles = {path: title_of(path) for path in whole}
+    depth = 2
+    while alike := {title for title, count in Counter(titles.values()).items() if count > 1}:
+        titles |= {path: "/".join(path.parts[-depth:]) for path, title in titles.items() if title in alike}
+        depth += 1
+    return [titles[path] for path in whole]
 
 
 def absolute(path: str | Path) -> Path:

@@ -25,6 +25,11 @@ KNOWN = (
     "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, cameras.json, "
     "bundle.out, NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
+RASTER_SUFFIXES = frozenset([".tif", ".tiff", ".asc", ".vrt"])
+RASTERS = (
+    "Of an elevation model multiply heights, pixel size and corner by the scale, or make it again from the scaled "
+    "cloud. An orthophoto gets its own scale, by `orthoscale fix`; `orthoscale check ORTHO --model MODEL` compares it."
+)
 # Formats that consist of a single file.
 ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
     ".las": scale_las,
@@ -82,7 +87,7 @@ def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | 
     elif suffix == ".bin" and source.parent.name == "depth_maps":
         scale_depth_map(source, target, scale)
     else:
-        raise InputError(_unknown(source), KNOWN)
+        raise InputError(_unknown(source), RASTERS if suffix in RASTER_SUFFIXES else KNOWN)
     for path in copied.there:
         if others.take(place := _beside(path, source, target), path):
             shutil.copyfile(path, place)
