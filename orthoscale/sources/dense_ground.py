@@ -109,7 +109,10 @@ class _LayerCounts:
         cloud does not belong to the sparse points.
         """
         if len(cell) < max(COVERED_SHARE * number, FEWEST_COVERED):
-            text = f"it shows the surroundings of {len(cell)} of {number} sparse points only"
+            text = (
+                f"it shows the surroundings of {len(cell)} of {number} sparse points only, like one of another run or "
+                "in another unit"
+            )
             raise InputError(text, NOT_ITS_OWN)
         around = np.clip(layer[:, None] + np.arange(-NEAR_LAYERS, NEAR_LAYERS + 1), 0, LAYERS_OF_CELL - 1)
         near = (self.count[cell[:, None], around] > 0).any(1)
