@@ -14,6 +14,7 @@ from support.photos import CARS, FOCAL, boxes_in, detections_of, view_from, writ
 from support.reports import car_park, fixed, fixed_model
 
 import orthoscale
+from orthoscale.core.boxes import Boxes
 from orthoscale.errors import EvidenceDisagrees
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.requests import EstimateOptions, FixOptions
@@ -65,6 +66,10 @@ def test_a_result_prints_in_under_ten_lines_the_answer_first(result):
         f"scale      {result.scale.value:.4f} m/px ({100 * result.scale.value:.2f} cm)"
     )
     assert repr(result) == str(result) and "DE (" in str(result)
+    assert str(result).startswith(f"{result.scale}\n") and str(result.scale).count("\n") == 2
+    boxes = Boxes(np.array([[5, 5, 40, 18, 0.1], [9, 9, 50, 20, 0.1]]), np.array([0.5, 0.9]))
+    assert str(boxes).splitlines()[:2] == ["boxes      2", "length     45 px (40 to 50)"]
+    assert str(Boxes.empty()) == "boxes      0"
     html = result._repr_html_()
     assert html.startswith("<table>") and "<th>scale</th>" in html
 

@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from .angles import axis_angle
+from .brief import Brief
 
 SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehicle's; side by side they share nothing
 HEAPED = 250  # mean number of neighbours per box from which the boxes cannot be vehicles; closely packed ones have 30
@@ -16,8 +17,8 @@ PAIRS = 2**15  # pairs of boxes whose overlap is computed at once, in some 50 MB
 KINDS = ("car", "pickup", "van", "larger")  # of vehicles: for passengers, with an open bed, a van or minibus, the rest
 
 
-@dataclass(frozen=True)
-class Boxes:
+@dataclass(frozen=True, repr=False)
+class Boxes(Brief):
     """N oriented boxes in one image.
 
     xylwa : (N, 5) float64, centre x, centre y, length (long side), width [px], angle [rad].
@@ -68,6 +69,14 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.score)
+
+    def brief(self) -> list[tuple[str, str]]:
+        """The lines that printing them shows: how many, and the median of each figure with its range."""
+        if not len(self):
+            return [("boxes", "0")]
+        figures = ("length", " px", self.length), ("width", " px", self.width), ("score", "", self.score)
+        ranges = [(name, f"{np.median(v):.3g}{unit} ({v.min():.3g} to {v.max():.3g})") for name, unit, v in figures]
+        return [("boxes", str(len(self))), *ranges]
 
     def __getitem__(self, index: np.ndarray | slice) -> Boxes:
         return Boxes(*(getattr(self, each.name)[index] for each in fields(self)))

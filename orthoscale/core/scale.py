@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .brief import Brief
 from .evidence import Evidence, Support
 from .normal import Z90
 from .remarks import Remark, by_severity
@@ -26,8 +27,8 @@ def with_interval(value: float, low: float, high: float, unit: str) -> str:
     return f"{value:.{places}f} {unit} (90 %: {low:.{places}f} to {high:.{places}f})"
 
 
-@dataclass(frozen=True)
-class Scale:
+@dataclass(frozen=True, repr=False)
+class Scale(Brief):
     """Metres per unit of the source, and how well that is known.
 
     value : metres per pixel of an orthophoto, or per unit of a model.
@@ -65,6 +66,16 @@ class Scale:
     conflict: float = 0.0
     support: Support = Support()
     by_vehicles: Mapping[str, float] = field(default_factory=dict)
+
+    def answer(self) -> list[tuple[str, str]]:
+        """The scale in words, as lines of label and text, in ASCII, which every terminal can show."""
+        within = f"{self.verdict} (90 % within {self.within})"
+        return [("scale", f"{self.text()}  {within}"), ("90 %", self.text(*self.interval90))]
+
+    def brief(self) -> list[tuple[str, str]]:
+        """The lines that printing it shows: label and text."""
+        rejected = sum(self.rejected.values())
+        return [*self.answer(), ("vehicles", f"{self.vehicles_used} used, {rejected} rejected")]
 
     @property
     def relative_sd(self) -> float:

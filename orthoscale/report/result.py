@@ -33,21 +33,13 @@ class Result(MeasuredSource, Brief):
         """The projection that was used: the one asked for, or what fits the source."""
         return self.measured.projection
 
-    def answer(self) -> list[tuple[str, str]]:
-        """The scale in words, as lines of label and text, in ASCII, which every terminal can show."""
-        scale = self.scale
-        within = f"{scale.verdict} (90 % within {scale.within})"
-        return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
-
     def brief(self) -> list[tuple[str, str]]:
         """The lines that printing it shows: label and text."""
         scale = self.scale
-        rejected = sum(scale.rejected.values())
         said = [remark.text for remark in self.remarks]
         remarks = f"{len(said)}, the first: {said[0]}" if said else "none"
         return [
-            *self.answer(),
-            ("vehicles", f"{scale.vehicles_used} used, {rejected} rejected"),
+            *scale.brief(),
             ("fleet", f"{scale.fleet} ({self.fleet.name})"),
             ("input", str(self.source.path)),
             ("remarks", remarks),

@@ -56,7 +56,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     kinds = counted_kinds(result.vehicles["kind"][scale.used])
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
-        *result.answer(),
+        *result.scale.answer(),
         ("vehicles", f"{scale.vehicles_used} used{seen}{': ' if kinds else ''}{kinds}"),
         ("rejected", counted(rejected) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
