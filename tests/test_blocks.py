@@ -313,5 +313,4 @@ def test_a_part_without_vehicles_is_named_and_doubted(of_two_parts):
     assert [r.severity for r in measured.remarks if text in r.text] == [CAUTION]
     parts, good = measured.parts, replace(measured.scale, verdict="good")
     assert parts.judged(good).verdict == "fair"
-    few = replace(parts.unknown[0], images=halves[1][:1])
-    assert replace(parts, unknown=(few,)).judged(good) == good
+    assert replace(parts, unknown=(halves[1][:1],)).judged(good) == good

@@ -529,6 +529,19 @@ def test_parts_that_share_no_point(plain, tmp_path, form):
     assert [note.severity for note in notes if "share no point (12 and 12 images)" in note.text] == [CAUTION]
 
 
+def test_images_of_one_frame_of_a_rig_are_one_part(tmp_path):
+    model, _ = make_model(rig=True)
+    camera = {number: image.camera_id for number, image in model.images.items()}
+    for number, point in list(model.points3D.items()):
+        for image, index in [(seen.image_id, seen.point2D_idx) for seen in point.track.elements]:
+            aside = image in (1, 2) or camera[image] != 1 + number % 2
+            if aside and number in model.points3D:
+                model.delete_observation(image, index)
+    assert {len({camera[e.image_id] for e in p.track.elements}) for p in model.points3D.values()} == {1}
+    (part,) = open_model(save(model, tmp_path, "bin")).parts
+    assert len(part) == 22 and {name[:4] for name in part} == {"cam1", "cam2"}, "without the pair that sees no point"
+
+
 # --- Pictures --------------------------------------------------------------------------------------------------------
 
 

@@ -328,9 +328,10 @@ def _parts(tables: Tables) -> tuple[tuple[str, ...], ...]:
     nodes = count + len(points.ids) + len(rigs)
     links = coo_array((np.ones(len(image), bool), (image, count + by.astype(int))), shape=(nodes, nodes))
     _, part = connected_components(links, directed=False)
-    names: dict[int, list[str]] = {}
+    names: dict[int, list[str]] = {number: [] for number in part[count:][: len(points.ids)].tolist()}
     for row, number in zip(tables.images, part[:count].tolist(), strict=True):
-        names.setdefault(number, []).append(row.name)
+        if number in names:
+            names[number].append(row.name)
     return tuple(sorted((tuple(sorted(some)) for some in names.values() if len(some) > 1), key=len, reverse=True))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,41 +24,36 @@ SPLIT_HINT = "Save each part as a model of its own (colmap image_deleter), and f
 
 @dataclass(frozen=True)
 class PartScale:
-    """The scale of a part of a reconstruction. images : names of the part's. scale : by the vehicles in them, None for
-    too few."""
+    """The scale of a part of a reconstruction. images : names of the part's. scale : by the vehicles in them."""
 
     images: Sequence[str]
-    scale: Scale | None
+    scale: Scale
+
+    @property
+    def log_value(self) -> float:
+        """Logarithm of the scale's value."""
+        return float(np.log(self.scale.value))
 
     @property
     def own_sd(self) -> float:
         """Relative one-sigma of the error that other parts do not share: they have other vehicles and other ground."""
-        parts = {} if self.scale is None else self.scale.parts
-        return float(np.sqrt(sum(parts.get(name, 0.0) ** 2 for name in NOT_SHARED) + LOTS_SD**2))
-
-    @property
-    def said(self) -> str:
-        """Its images and its scale, in words."""
-        images = f"{amount(len(self.images), 'images')} ({self.images[0]} ...)"
-        if self.scale is None:
-            return f"{images} have too few vehicles"
-        return f"{images} give {self.scale.value:.4g} by {amount(self.scale.vehicles_used, 'vehicles')}"
+        return float(np.sqrt(sum(self.scale.parts.get(name, 0.0) ** 2 for name in NOT_SHARED) + LOTS_SD**2))
 
 
 @dataclass(frozen=True)
 class Parts:
     """The parts of a reconstruction, compared. known : those with a scale of their own, the most certain first.
-    unknown : the others."""
+    unknown : names of the images of each of the others."""
 
     known: tuple[PartScale, ...]
-    unknown: tuple[PartScale, ...]
+    unknown: tuple[Sequence[str], ...]
 
     @classmethod
-    def of(cls, parts: Iterable[PartScale]) -> Parts:
-        """Of all `parts`."""
-        every = tuple(parts)
-        known = sorted((p for p in every if p.scale is not None), key=lambda part: part.own_sd)
-        return cls(tuple(known), tuple(p for p in every if p.scale is None))
+    def of(cls, scales: Sequence[tuple[Sequence[str], Scale | None]]) -> Parts:
+        """scales : the images of each part, and its scale, None for too few vehicles."""
+        known = [PartScale(images, scale) for images, scale in scales if scale is not None]
+        unknown = tuple(images for images, scale in scales if scale is None)
+        return cls(tuple(sorted(known, key=lambda part: part.own_sd)), unknown)
 
     @property
     def difference(self) -> float:
@@ -72,13 +67,13 @@ class Parts:
 
     @property
     def contradict(self) -> bool:
-        """Whether any two have different scales, certainly."""
+        """Whether one scale cannot be that of all of them."""
         return self.tension > CONTRADICTION
 
     @property
     def said(self) -> str:
         """The scale of each, in words."""
-        return _listed((*self.known, *self.unknown))
+        return _listed([*map(_of_part, self.known), *map(_without, self.unknown)])
 
     @property
     def contradiction(self) -> str:
@@ -86,34 +81,46 @@ class Parts:
         return f"parts of the model that share no point have different scales: {self.said}"
 
     def _from_first(self) -> list[tuple[float, float]]:
-        """Log ratio of the scale of each part to that of the first, and its one sigma."""
-        if not self.known:
-            return []
-        first, *others = ((np.log(p.scale.value), p.own_sd) for p in self.known if p.scale is not None)
-        return [(float(log - first[0]), float(np.hypot(sd, first[1]))) for log, sd in others]
+        """Log ratio of the scale of each further part to that of the first, and its one sigma."""
+        return [
+            (part.log_value - self.known[0].log_value, float(np.hypot(part.own_sd, self.known[0].own_sd)))
+            for part in self.known[1:]
+        ]
 
     def judged(self, scale: Scale) -> Scale:
         """`scale`, which was measured of all parts together, as these show it.
 
-        If they contradict each other it is ``unusable``, and its interval covers all of them. If a part that is not
-        FEW_IMAGES has no scale of its own, nothing says that `scale` holds there: the verdict is AT_BEST_DOUBTED.
+        If they contradict each other it is ``unusable``, and its interval covers all of them. If FEW_IMAGES or more are
+        in parts without a scale of their own, nothing says that `scale` holds there: the verdict is AT_BEST_DOUBTED.
         """
         if self.contradict:
-            ends = [end for part in self.known if part.scale is not None for end in part.scale.interval90]
-            low, high = min(*ends, *scale.interval90), max(*ends, *scale.interval90)
-            spread = {"conflict": max(float(np.log(high / low)) / (2 * Z90), scale.relative_sd)}
-            wide = replace(scale, interval90=(low, high), parts=spread, verdict=UNUSABLE)
+            ends = [end for each in (scale, *(part.scale for part in self.known)) for end in each.interval90]
+            spread = max(float(np.log(max(ends) / min(ends))) / (2 * Z90), scale.relative_sd)
+            wide = replace(scale, interval90=(min(ends), max(ends)), parts={"conflict": spread}, verdict=UNUSABLE)
             return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT))
-        images = sum(len(part.images) for part in (*self.known, *self.unknown))
-        if sum(len(part.images) for part in self.unknown) < FEW_IMAGES * images:
+        without = sum(map(len, self.unknown))
+        if without < FEW_IMAGES * (without + sum(len(part.images) for part in self.known)):
             return scale
-        text = f"parts of the model that share no point: {_listed(self.unknown)}, so nothing tells their scale"
+        unknown = _listed([*map(_without, self.unknown)])
+        text = f"{unknown}, and share no point with others: nothing tells their scale"
         return scale.remarked(Remark(CAUTION, text), at_best=AT_BEST_DOUBTED)
 
 
-def _listed(parts: Sequence[PartScale]) -> str:
-    more = len(parts) - PARTS_NAMED
-    return "; ".join(part.said for part in parts[:PARTS_NAMED]) + (f"; and {more} more parts" if more > 0 else "")
+def _named(images: Sequence[str]) -> str:
+    return f"{amount(len(images), 'images')} ({images[0]} ...)"
+
+
+def _of_part(part: PartScale) -> str:
+    return f"{_named(part.images)} give {part.scale.value:.4g} by {amount(part.scale.vehicles_used, 'vehicles')}"
+
+
+def _without(images: Sequence[str]) -> str:
+    return f"{_named(images)} have too few vehicles"
+
+
+def _listed(said: Sequence[str]) -> str:
+    more = len(said) - PARTS_NAMED
+    return "; ".join(said[:PARTS_NAMED]) + (f"; and {more} more parts" if more > 0 else "")
 
 
 def found_in(images: Collection[str], found: Detections) -> Detections:

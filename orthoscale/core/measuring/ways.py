@@ -26,7 +26,7 @@ from .measure import doubts, measure
 from .measurement import Measurement
 from .method import Method
 from .oblique import FramesGeometry, card_of, shown_in_frames
-from .parts import Parts, PartScale, found_in
+from .parts import Parts, found_in
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 from .plausibility import plausible
@@ -67,18 +67,17 @@ def measure_posed(
     whole = _in_modes(source, found, fleet, method, mode)
     if not source.parts:
         return whole
-    parts = Parts.of(_part(part, found, fleet, method) for part in source.parts)
+    parts = Parts.of([(part.picture_names, _of_part(part, found, fleet, method)) for part in source.parts])
     return replace(whole, scale=parts.judged(whole.scale), parts=parts)
 
 
-def _part(part: PosedSet, found: Detections, fleet: Fleet, method: Method) -> PartScale:
-    """The scale of a `part` of a reconstruction by the vehicles `found` in its frames, on its own ground."""
-    images = part.picture_names
+def _of_part(part: PosedSet, found: Detections, fleet: Fleet, method: Method) -> Scale | None:
+    """The scale of a `part` of a reconstruction by the vehicles `found` in its frames, on its own ground; None for too
+    few vehicles, or no ground under its few points."""
     by_vehicles = replace(method, evidence=(), anchors=(), standards=None)
-    try:
-        return PartScale(images, _in_modes(part, found_in(set(images), found), fleet, by_vehicles, OBLIQUE).scale)
-    except (TooLittleEvidence, InputError):  # InputError: its few points show no ground
-        return PartScale(images, None)
+    with suppress(TooLittleEvidence, InputError):
+        return _in_modes(part, found_in(set(part.picture_names), found), fleet, by_vehicles, OBLIQUE).scale
+    return None
 
 
 def _in_modes(source: PosedSet, found: Detections, fleet: Fleet, method: Method, mode: str | None) -> Measurement:
