@@ -387,7 +387,25 @@ def test_names_of_windows(plain, tmp_path, form):
     assert source.pictures[0].read(0, 0, 640, 480, 64, 48).any()
 
 
-@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"C:\\b\\{n}", lambda n: n[:-3] + "jpg"])
+@pytest.mark.parametrize("start", ["C:\\Users\\me\\", "/home/someone/", "\\\\nas\\share\\"])
+def test_absolute_names_of_another_machine(plain, tmp_path, start):
+    """Their frames are found below the folder that all of them share; the copy's names stay as they are."""
+    folder = renamed(plain, tmp_path / "m", "bin", lambda n: f"{start}{'ab'[int(n[:2]) % 2]}/{n}")
+    for name in "ab":
+        put_frames(plain, tmp_path / "images" / name)
+    source = ColmapSource.open(folder)
+    place_of = {picture.name: picture.path for picture in source.pictures}
+    assert source.notes == [] and place_of[f"{start}b/01.png"] == tmp_path / "images/b/01.png"
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    assert ColmapSource.open(tmp_path / "out").picture_names == source.picture_names
+    for name in "ab":
+        (tmp_path / "images" / name).rename(tmp_path / "images" / name.upper())
+    with pytest.raises(InputError, match=r"the first is a/00.png, but .*images/A/00.png has another name"):
+        ColmapSource.open(folder)
+
+
+@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"b\\{n}", lambda n: n[:-3] + "jpg"])
 def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
     folder = renamed(plain, tmp_path / "m", "bin", change)
     put_frames(plain, tmp_path / "images")

@@ -40,8 +40,8 @@ MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
 CROPPED_HINT = (
-    "The pictures were cropped or resized since the model was made, or a file is damaged. Give the model and its pictures "
-    "as they were, or make a model of the new pictures."
+    "The pictures were cropped or resized since the model was made, or a file is damaged. Give the model and its "
+    "pictures as they were, or make a model of the new pictures."
 )
 
 
