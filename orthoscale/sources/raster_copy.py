@@ -132,7 +132,9 @@ class Original:
         GeoTIFF has no transparency. That of a nodata value is none of them."""
         if not self.paletted:
             return 0
-        return sum(colour[3] < 255 for value, colour in self.dataset.colormap(1).items() if value != self.dataset.nodata)
+        return sum(
+            colour[3] < 255 for value, colour in self.dataset.colormap(1).items() if value != self.dataset.nodata
+        )
 
     @property
     def _has_others(self) -> bool:
