@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+import rasterio
 from support.models import make_model, patched, put_frames, save
 
 from orthoscale.core.remarks import CAUTION, REFUSAL, Remark
@@ -29,6 +30,7 @@ from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.dense_cloud import DenseCloud
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
+from orthoscale.sources.tags import read_tags
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 
@@ -637,6 +639,41 @@ def test_exif_orientation_is_ignored(tmp_path):
     path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
     assert cv2.imread(str(path)).shape == (60, 40, 3)
     assert PictureFile("a", path, 60, 40).read(0, 0, 60, 40, 60, 40).shape == (40, 60, 3)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize("form", [{}, {"tiled": True}, {"bigtiff": "YES"}, {"endianness": "BIG"}])
+def test_the_orientation_of_a_tiff_is_ignored(tmp_path, form, turned):
+    """COLMAP reads its pixels as they are stored. OpenCV turns them whatever it is told, tiled ones wrongly."""
+    path, pixels = tmp_path / "a.tif", np.random.default_rng(0).integers(0, 255, (3, 300, 400), dtype=np.uint8)
+    with rasterio.open(path, "w", driver="GTiff", width=400, height=300, count=3, dtype="uint8", **form) as file:
+        file.write(pixels)
+    turn_tiff(path, turned)
+    assert stored_size(path) == (400, 300)
+    assert np.array_equal(PictureFile("a", path, 400, 300).read(0, 0, 400, 300, 400, 300), pixels.transpose(1, 2, 0))
+    assert (read_tags(path).width, read_tags(path).height) == (400, 300)
+
+
+def turn_tiff(path: Path, turned: int) -> None:
+    """Set the orientation of a TIFF, by a directory at its end that has it, too."""
+    data = bytearray(path.read_bytes())
+    order, big = "<" if data[:2] == b"II" else ">", 43 in data[2:4]
+    place, count, entry = (order + "Q", order + "Q", 20) if big else (order + "I", order + "H", 12)
+    (start,) = struct.unpack_from(place, data, 8 if big else 4)
+    (number,) = struct.unpack_from(count, data, start)
+    first = start + struct.calcsize(count)
+    entries = {
+        struct.unpack_from(order + "H", data, at)[0]: bytes(data[at : at + entry])
+        for at in range(first, first + number * entry, entry)
+    }
+    one = struct.pack(order + "Q", 1) if big else struct.pack(order + "I", 1)
+    entries[0x0112] = (struct.pack(order + "HH", 0x0112, 3) + one + struct.pack(order + "H", turned)).ljust(
+        entry, b"\0"
+    )
+    struct.pack_into(place, data, 8 if big else 4, len(data))
+    data += struct.pack(count, len(entries)) + b"".join(entries[tag] for tag in sorted(entries)) + struct.pack(place, 0)
+    path.write_bytes(data)
 
 
 # --- Damage ----------------------------------------------------------------------------------------------------------
