@@ -434,6 +434,15 @@ def test_names_with_letters_of_two_characters_are_told(plain, tmp_path, folder):
         assert "as two characters" in caught.value.hint
 
 
+def test_a_folder_of_frames_that_cannot_be_read_is_told(model_bin, tmp_path, monkeypatch):
+    """It was said that the frames are not there."""
+    (tmp_path / "images").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path / "images")  # root may read it
+    for given in (None, tmp_path / "images"):
+        with pytest.raises(InputError, match=r"the first is 00.png, and .*images cannot be read"):
+            ColmapSource.open(model_bin, given)
+
+
 def test_a_folder_of_another_case_is_told(plain, tmp_path):
     folder = renamed(plain, tmp_path / "m", "bin", lambda name: f"flight/{name}")
     put_frames(plain, tmp_path / "images/Flight")

@@ -86,12 +86,14 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     if len(missing) == len(names):
         above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
         what = f"no frame of the model {folder} was found; the first is {missing[0]}"
+        inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
+        if (shut := next((p for p in inside if p.is_dir() and not os.access(p, os.R_OK | os.X_OK)), None)) is not None:
+            raise InputError(f"{what}, and {shut} cannot be read", "Check the permissions of that folder.")
         higher = [] if given is None else given.absolute().parents[:IMAGES_ABOVE]
         if (start := next((place for place in higher if file_in(place, missing[0]) is not None), None)) is not None:
             raise InputError(
                 f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
             )
-        inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
         if (start := _below(inside, missing[0])) is not None:
             raise InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
         if (near := _of_nearly_that_name(places, missing[0])) is not None:
