@@ -290,10 +290,14 @@ def test_standard_output_is_not_taken_for_the_summary_of_several_inputs(park):
     assert not Path("rows.csv").exists() and Path("many/park.tif").is_file()
 
 
-def test_a_reader_that_leaves_ends_the_command_as_shells_expect(park):
+def test_a_reader_that_leaves_ends_the_command_as_shells_expect(park, monkeypatch):
     """141, not the exit code of a bug, by which click would end it."""
     assert into(Unread(), "estimate", *park) == (141, "")
-    assert into(Unread(), "fleets") == (141, "")
+    for words in (["fleets"], ["fleets", "--help"], ["--help"], ["--version"]):
+        assert into(Unread(), *words) == (141, "")
+    monkeypatch.setenv("_ORTHOSCALE_COMPLETE", "bash_source")  # prints the script for completion
+    monkeypatch.setattr("click.core._detect_program_name", lambda: "orthoscale")
+    assert into(Unread()) == (141, "")
 
 
 @pytest.mark.parametrize("stdout", [io.StringIO, Full])

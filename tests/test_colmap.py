@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+import rasterio
 from support.models import make_model, patched, put_frames, save
 
 from orthoscale.core.remarks import CAUTION, REFUSAL, Remark
@@ -29,6 +30,7 @@ from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.dense_cloud import DenseCloud
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
+from orthoscale.sources.tags import read_tags
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 
@@ -387,7 +389,25 @@ def test_names_of_windows(plain, tmp_path, form):
     assert source.pictures[0].read(0, 0, 640, 480, 64, 48).any()
 
 
-@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"C:\\b\\{n}", lambda n: n[:-3] + "jpg"])
+@pytest.mark.parametrize("start", ["C:\\Users\\me\\", "/home/someone/", "\\\\nas\\share\\"])
+def test_absolute_names_of_another_machine(plain, tmp_path, start):
+    """Their frames are found below the folder that all of them share; the copy's names stay as they are."""
+    folder = renamed(plain, tmp_path / "m", "bin", lambda n: f"{start}{'ab'[int(n[:2]) % 2]}/{n}")
+    for name in "ab":
+        put_frames(plain, tmp_path / "images" / name)
+    source = ColmapSource.open(folder)
+    place_of = {picture.name: picture.path for picture in source.pictures}
+    assert source.notes == [] and place_of[f"{start}b/01.png"] == tmp_path / "images/b/01.png"
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    assert ColmapSource.open(tmp_path / "out").picture_names == source.picture_names
+    for name in "ab":
+        (tmp_path / "images" / name).rename(tmp_path / "images" / name.upper())
+    with pytest.raises(InputError, match=r"the first is a/00.png, but .*images/A/00.png has another name"):
+        ColmapSource.open(folder)
+
+
+@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"b\\{n}", lambda n: n[:-3] + "jpg"])
 def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
     folder = renamed(plain, tmp_path / "m", "bin", change)
     put_frames(plain, tmp_path / "images")
@@ -412,6 +432,15 @@ def test_names_with_letters_of_two_characters_are_told(plain, tmp_path, folder):
         with pytest.raises(InputError, match=r"00.png has another name") as caught:
             ColmapSource.open(where)
         assert "as two characters" in caught.value.hint
+
+
+def test_a_folder_of_frames_that_cannot_be_read_is_told(model_bin, tmp_path, monkeypatch):
+    """It was said that the frames are not there."""
+    (tmp_path / "images").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path / "images")  # root may read it
+    for given in (None, tmp_path / "images"):
+        with pytest.raises(InputError, match=r"the first is 00.png, and .*images cannot be read"):
+            ColmapSource.open(model_bin, given)
 
 
 def test_a_folder_of_another_case_is_told(plain, tmp_path):
@@ -643,6 +672,41 @@ def test_exif_orientation_is_ignored(tmp_path):
     path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
     assert cv2.imread(str(path)).shape == (60, 40, 3)
     assert PictureFile("a", path, 60, 40).read(0, 0, 60, 40, 60, 40).shape == (40, 60, 3)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize("form", [{}, {"tiled": True}, {"bigtiff": "YES"}, {"endianness": "BIG"}])
+def test_the_orientation_of_a_tiff_is_ignored(tmp_path, form, turned):
+    """COLMAP reads its pixels as they are stored. OpenCV turns them whatever it is told, tiled ones wrongly."""
+    path, pixels = tmp_path / "a.tif", np.random.default_rng(0).integers(0, 255, (3, 300, 400), dtype=np.uint8)
+    with rasterio.open(path, "w", driver="GTiff", width=400, height=300, count=3, dtype="uint8", **form) as file:
+        file.write(pixels)
+    turn_tiff(path, turned)
+    assert stored_size(path) == (400, 300)
+    assert np.array_equal(PictureFile("a", path, 400, 300).read(0, 0, 400, 300, 400, 300), pixels.transpose(1, 2, 0))
+    assert (read_tags(path).width, read_tags(path).height) == (400, 300)
+
+
+def turn_tiff(path: Path, turned: int) -> None:
+    """Set the orientation of a TIFF, by a directory at its end that has it, too."""
+    data = bytearray(path.read_bytes())
+    order, big = "<" if data[:2] == b"II" else ">", 43 in data[2:4]
+    place, count, entry = (order + "Q", order + "Q", 20) if big else (order + "I", order + "H", 12)
+    (start,) = struct.unpack_from(place, data, 8 if big else 4)
+    (number,) = struct.unpack_from(count, data, start)
+    first = start + struct.calcsize(count)
+    entries = {
+        struct.unpack_from(order + "H", data, at)[0]: bytes(data[at : at + entry])
+        for at in range(first, first + number * entry, entry)
+    }
+    one = struct.pack(order + "Q", 1) if big else struct.pack(order + "I", 1)
+    entries[0x0112] = (struct.pack(order + "HH", 0x0112, 3) + one + struct.pack(order + "H", turned)).ljust(
+        entry, b"\0"
+    )
+    struct.pack_into(place, data, 8 if big else 4, len(data))
+    data += struct.pack(count, len(entries)) + b"".join(entries[tag] for tag in sorted(entries)) + struct.pack(place, 0)
+    path.write_bytes(data)
 
 
 # --- Damage ----------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import struct
 from pathlib import Path
@@ -141,7 +142,30 @@ def test_half_of_the_points(tmp_path):
 def test_a_picture_of_another_size(tmp_path):
     model, _ = make_model()
     model.cameras[1].width = 320
-    assert "nowhere near where they were seen" in refusal(save(model, tmp_path / "m", "bin"))
+    said = refusal(save(model, tmp_path / "m", "bin"))
+    assert re.search(r"\d\d % of the observations of .* lie outside of pictures of 320 x 480 px$", said)
+
+
+@pytest.mark.parametrize(
+    "cropped_px, moved_along, said",
+    [
+        (100, False, "of the observations of camera 1 (12 of 12 images, the first is 00.png) lie outside of pictures"),
+        (100, True, "of the observations of image 02.png and 3 more of 12 lie outside of pictures of 440 x 280 px"),
+        (80, True, "of its observations lie outside of their pictures"),
+    ],
+)
+def test_cropped_pictures(tmp_path, cropped_px, moved_along, said):
+    """Cameras told of a crop by their sizes and principal points; the observations stay, or move along."""
+    model, _ = make_model("SIMPLE_PINHOLE", (400, 320, 240))
+    camera = model.cameras[1]
+    camera.width, camera.height = 640 - 2 * cropped_px, 480 - 2 * cropped_px
+    camera.params = [400, 320 - cropped_px, 240 - cropped_px]
+    for image in model.images.values():
+        for point in image.points2D:
+            point.xy -= cropped_px * moved_along
+    with pytest.raises(InputError) as caught:
+        opened(save(model, tmp_path / "m", "bin"))
+    assert said in caught.value.message and "were cropped or resized" in caught.value.hint
 
 
 @pytest.mark.parametrize("noise_px", [0.5, 5.0])

@@ -954,6 +954,37 @@ def test_the_metadata_of_bands_come_along(tmp_path, cog):
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("alpha, lost", [(None, 0), (bytes([255, 0]), 0), (bytes([128]), 1), (bytes([128, 0, 64]), 2)])
+def test_transparent_colours_of_a_palette_are_named(tmp_path, alpha, lost):
+    """A GeoTIFF holds one of them, as its nodata value; the others became opaque without a word."""
+    picture = Image.fromarray(np.moveaxis(scene(), 0, -1)).quantize(100)
+    picture.save(tmp_path / "a.png", **({} if alpha is None else {"transparency": alpha}))
+    with RasterSource.open(tmp_path / "a.png") as source:
+        source.write(tmp_path / "b.tif", 0.1)
+    said = [note.text for note in source.notes if "transparent there, wholly or in part" in note.text]
+    assert len(said) == bool(lost) and all(f"({lost})" in text for text in said)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+def test_metadata_that_a_cog_cannot_keep_are_named(tmp_path, cog):
+    """GDAL copies the bands' own or the other domains' metadata; the former were lost without a word."""
+
+    def prepare(dataset):
+        dataset.update_tags(2, FILTER="green", GSD="0.31")
+        dataset.update_tags(ns="IMAGERY", SATELLITEID="kite")
+
+    with RasterSource.open(make(tmp_path / "a.tif", prepare=prepare)) as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        kept = d.tags(2).get("FILTER") == "green"
+        assert d.tags(ns="IMAGERY") == {"SATELLITEID": "kite"}
+    said = [note.text for note in source.notes]
+    assert any("lacks the bands' metadata of a.tif (FILTER, GSD)" in text for text in said) is not kept
+    assert any("keeps GSD=0.31" in text for text in said) is kept is not cog
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("cog", [False, True])
 def test_no_geolocation_array_stays(tmp_path, cog):
     """It is former georeferencing; the direct copy of a TIFF kept it."""

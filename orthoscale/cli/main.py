@@ -8,7 +8,8 @@ import logging
 import os
 import sys
 import traceback
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -54,14 +55,26 @@ class Commands(click.Group):
             return None
         return getattr(import_module(f".{COMMANDS[name]}", __package__), name)
 
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        """Parse the words before the command's name; prints the help or the version."""
+        with _read():
+            return super().make_context(*args, **extra)
+
     def invoke(self, context: click.Context) -> Any:
-        """Run the command; ends with UNREAD if nobody reads what it prints any more. click itself would end with 1,
-        the exit code of a bug."""
-        try:
+        """Run the command."""
+        with _read():
             return super().invoke(context)
-        except BrokenPipeError:
-            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - Python flushes it when it ends
-            sys.exit(UNREAD)
+
+
+@contextmanager
+def _read() -> Iterator[None]:
+    """A block that ends the program with UNREAD if nobody reads what it prints any more. click itself would end it with
+    1, the exit code of a bug."""
+    try:
+        yield
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - Python flushes it when it ends
+        sys.exit(UNREAD)
 
 
 @click.group(
@@ -85,7 +98,7 @@ def main() -> None:
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     try:
-        with stopping.listening(), nullcontext() if debug else quiet.unheard():
+        with stopping.listening(), nullcontext() if debug else quiet.unheard(), _read():
             result = cli.main(standalone_mode=False) or 0
             stopping.check()
         sys.exit(result)

@@ -39,6 +39,10 @@ ONE_LINE = 0.01  # how far cameras on one line may stand beside it, as a share o
 MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
+CROPPED_HINT = (
+    "The pictures were cropped or resized since the model was made, or a file is damaged. Give the model and its "
+    "pictures as they were, or make a model of the new pictures."
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,8 @@ def _check_projections(
     error[~np.isfinite(error)] = np.inf  # behind the camera, or where its lens has no image
     side = size.max(1)
     beyond = np.maximum(-seen.pixels, seen.pixels - size[seen.image]).max(1)
-    error[beyond > np.maximum(OFF_PX, OFF_SHARE * side)[seen.image]] = np.inf  # outside of a picture of this size
+    outside = beyond > np.maximum(OFF_PX, OFF_SHARE * side)[seen.image]  # of a picture of this size
+    error[outside] = np.inf
 
     order = np.argsort(seen.image, kind="stable")
     each = np.split(error[order], np.searchsorted(seen.image[order], np.arange(1, len(images))))
@@ -108,7 +113,7 @@ def _check_projections(
     radial = _radial_remainders(model, camera_of, projected, seen)
     stretched = {camera: share for camera, share in radial.items() if abs(share) > RADIAL}
     if off.any():
-        raise _off(where, [image.name for image in images], camera_of, off, judged, middle)
+        raise _off(where, model, images, seen, outside, off, judged, middle)
     if stretched:
         camera, share = max(stretched.items(), key=lambda item: abs(item[1]))
         raise InputError(
@@ -116,9 +121,13 @@ def _check_projections(
             "than they were seen: its focal length, or the scale of cameras and points, is wrong",
             MIXED_UP_HINT,
         )
-    far = float(np.mean(error > OFF_FAR * limit[seen.image]))
-    if far > OFF_MOST:
-        raise InputError(f"{where}: {100 * far:.0f} % of its points are not where its images saw them", MIXED_UP_HINT)
+    is_far = error > OFF_FAR * limit[seen.image]
+    if np.mean(is_far) > OFF_MOST:
+        if 2 * outside.sum() > is_far.sum():
+            text = f"{where}: {100 * np.mean(outside):.0f} % of its observations lie outside of their pictures"
+            raise InputError(text, CROPPED_HINT)
+        text = f"{where}: {100 * np.mean(is_far):.0f} % of its points are not where its images saw them"
+        raise InputError(text, MIXED_UP_HINT)
 
 
 def _projected(
@@ -156,22 +165,36 @@ def _radial_remainders(
 
 def _off(
     where: object,
-    names: Sequence[str],
-    camera_of: np.ndarray,
+    model: pycolmap.Reconstruction,
+    images: Sequence[pycolmap.Image],
+    seen: Observations,
+    outside: np.ndarray,
     off: np.ndarray,
     judged: np.ndarray,
     middle: np.ndarray,
 ) -> InputError:
-    """The error that names the cameras most of whose images are off; or the images, if only some of a camera's are."""
+    """The error that names the cameras most of whose images are off; or the images, if only some of a camera's are.
+
+    outside : (N,) bool, which observations lie outside of their pictures. off, judged : (C,) bool, by image. middle :
+    (C,) median errors [px].
+    """
+    camera_of = np.array([image.camera_id for image in images])
     whole = [c for c in np.unique(camera_of[off]) if 2 * off[camera_of == c].sum() > judged[camera_of == c].sum() > 1]
     mine = off & np.isin(camera_of, whole) if whole else off
-    first = names[int(np.argmax(mine))]
+    first = images[int(np.argmax(mine))]
     if off.sum() == judged.sum() > 1 and len(np.unique(camera_of)) > 1:
-        what = f"all {off.sum()} images ({first} ...)"
+        what = f"all {off.sum()} images ({first.name} ...)"
     elif whole:
-        what = f"camera {', '.join(map(str, whole[:3]))} ({mine.sum()} of {len(names)} images, the first is {first})"
+        count = f"{mine.sum()} of {len(images)} images"
+        what = f"camera {', '.join(map(str, whole[:3]))} ({count}, the first is {first.name})"
     else:
-        what = f"image {first}" + (f" and {mine.sum() - 1} more of {len(names)}" if mine.sum() > 1 else "")
+        what = f"image {first.name}" + (f" and {mine.sum() - 1} more of {len(images)}" if mine.sum() > 1 else "")
+    share = float(np.mean(outside[mine[seen.image]]))
+    if share > OFF_MOST:
+        camera = model.camera(first.camera_id)
+        size = f"{camera.width} x {camera.height} px"
+        text = f"{where}: {100 * share:.0f} % of the observations of {what} lie outside of pictures of {size}"
+        return InputError(text, CROPPED_HINT)
     apart = float(np.median(middle[mine]))
     how = f"{apart:.3g} px from" if np.isfinite(apart) else "nowhere near"
     return InputError(f"{where}: the points of {what} are projected {how} where they were seen", MIXED_UP_HINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import unicodedata
 from collections.abc import Sequence
 from contextlib import suppress
@@ -28,8 +29,9 @@ def find_frames(
 ) -> list[PictureFile]:
     """The frames of `model`, which lies in `folder`, that are on disk; adds to `notes`. See `ColmapSource.open`."""
     registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    place_of = dict(zip(sorted(registered), places_of(sorted(registered)), strict=True))
     try:
-        root, missing = image_folder(folder, Path(images) if images is not None else None, sorted(registered))
+        root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))
     except InputError as error:
         if need_images or images is not None:
             raise
@@ -40,15 +42,28 @@ def find_frames(
         text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
         notes.append(Remark(CAUTION, text))
     pictures = []
-    for name in sorted(registered.keys() - set(missing)):
-        camera = model.camera(registered[name].camera_id)
-        pictures.append(PictureFile(name, file_in(root, name) or root / name, camera.width, camera.height))
-        pictures[-1].check_size()
+    lacking = set(missing)
+    for name, place in place_of.items():
+        if place not in lacking:
+            camera = model.camera(registered[name].camera_id)
+            pictures.append(PictureFile(name, file_in(root, place) or root / place, camera.width, camera.height))
+            pictures[-1].check_size()
     return pictures
 
 
+def places_of(names: Sequence[str]) -> list[str]:
+    """The paths at which to look for the images `names` in their folder. If all are absolute paths of another machine
+    (no such file is on this one), they are made relative to the folder that they share; others stay as they are."""
+    paths = [PureWindowsPath(name).as_posix() for name in names]
+    if all(PureWindowsPath(path).root for path in paths) and not any(map(os.path.isfile, paths)):
+        with suppress(ValueError):  # some on a drive, and others not
+            shared = posixpath.commonpath([posixpath.dirname(path) for path in paths])
+            return [posixpath.relpath(path, shared) for path in paths]
+    return list(names)
+
+
 def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
-    """The folder that holds most of the image `names` of the model in `folder`, and the names that it lacks.
+    """The folder that holds most of the image `names` (`places_of`) of the model in `folder`, and those that it lacks.
 
     given : where to look instead of beside and above the model. Raises InputError if none of them is found.
     """
@@ -77,12 +92,14 @@ def _not_found(folder: Path, given: Path | None, places: Sequence[Path], first: 
     """The error that none of the frames of the model in `folder` is in one of `places`. It says where a frame is that
     may be the `first`, if there is one. given : as in `image_folder`."""
     what = f"no frame of the model {folder} was found; the first is {first}"
+    inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
+    if (shut := next((p for p in inside if p.is_dir() and not os.access(p, os.R_OK | os.X_OK)), None)) is not None:
+        return InputError(f"{what}, and {shut} cannot be read", "Check the permissions of that folder.")
     higher = [] if given is None else given.absolute().parents[:IMAGES_ABOVE]
     if (start := next((place for place in higher if file_in(place, first) is not None), None)) is not None:
         return InputError(
             f"{what}, and that name begins above {given}", f"Give --images {start}: the names start there."
         )
-    inside = places if given is not None else [place for place in places if place.name in IMAGE_FOLDERS]
     if (start := _below(inside, first)) is not None:
         return InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
     if (near := _of_nearly_that_name(places, first)) is not None:

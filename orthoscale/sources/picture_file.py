@@ -8,7 +8,7 @@ import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from .fingerprint import Stamp, changed, fingerprint
 KEPT_SHARE, LARGE_SHARE = 1 / 8, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+ORIENTATION, TIFF_LONG = 0x0112, 4  # TIFF's and EXIF's tag of how a picture is turned; TIFF's type of 32 bits
 REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
 
@@ -183,7 +184,8 @@ def _decode(path: Path, factor: int) -> np.ndarray:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             # OpenCV silently fills the missing part of a truncated file with grey.
             if _is_complete(data):
-                pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+                stored = _as_stored(data) if data[:4] in TIFFS else data
+                pixels = cv2.imdecode(np.frombuffer(stored, np.uint8), flag)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
     except (ValueError, cv2.error):  # an empty file cannot be mapped
@@ -192,6 +194,27 @@ def _decode(path: Path, factor: int) -> np.ndarray:
         refuse_pointer(path)
         raise InputError(f"{path}: image is truncated or cannot be decoded", "Copy it again from its original.")
     return pixels
+
+
+def _as_stored(data: mmap.mmap) -> mmap.mmap | bytearray:
+    """`data`, or a copy of a TIFF without the turn that its orientation asks for: OpenCV makes that whatever its flags
+    say, and turns each tile of a tiled one."""
+    with suppress(struct.error, OverflowError):  # a damaged file: the decoder will say so
+        order, big = "<" if data[:2] == b"II" else ">", 43 in data[2:4]
+        (start,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
+        (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, start)
+        entry, value = (20, 12) if big else (12, 8)  # [byte] size of an entry of the directory, and where its value is
+        first = start + (8 if big else 2)
+        for at in range(first, first + count * entry, entry):
+            tag, kind = struct.unpack_from(order + "HH", data, at)
+            if tag > ORIENTATION:
+                break
+            form = order + ("I" if kind == TIFF_LONG else "H")
+            if tag == ORIENTATION and struct.unpack_from(form, data, at + value) != (1,):
+                upright = bytearray(data)
+                struct.pack_into(form, upright, at + value, 1)
+                return upright
+    return data
 
 
 def _in_strips(path: Path) -> np.ndarray | None:

@@ -24,6 +24,7 @@ from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
 from ..errors import InputError, UsageError
+from ..formats.names import first_few
 from ..formats.other_programs import what_instead
 from ..formats.points import pixel
 from ..formats.reading import absent
@@ -415,7 +416,13 @@ class RasterSource:
             notes.append(f"bands of {self.name} have several nodata values, a GeoTIFF has one: {path.name} has a mask")
         if original.images > 1:
             notes.append(f"{path.name} has only the first of the {original.images} images in {self.name}")
-        if told := original.sizes_told:
+        if count := original.transparent_colours:
+            what = f"colours of the palette of {self.name} that are transparent there, wholly or in part ({count})"
+            notes.append(f"{what}, are opaque in {path.name}: the palette of a GeoTIFF has no transparency")
+        if cog and (lost := original.lost_in_cog):
+            why = "GDAL leaves them out of a cloud-optimised file with other metadata; a copy without --cog has them"
+            notes.append(f"{path.name} lacks the bands' metadata of {self.name} ({first_few(lost)}): {why}")
+        if told := original.sizes_told(cog):
             notes.append(f"{path.name} keeps {', '.join(told)} in its metadata, which may tell the former scale")
         self.notes += [note for note in informing(notes) if note not in self.notes]
 

@@ -111,14 +111,35 @@ class Original:
         alone = not dataset.rpcs and not dataset.tags(ns="GEOLOCATION") and self.images == 1
         return dataset.driver == "GTiff" and in_one_file and alone and self._has_room()
 
-    @property
-    def sizes_told(self) -> list[str]:
+    def sizes_told(self, cog: bool) -> list[str]:
         """Those of its metadata that come along and may tell its former scale, as "NAME=VALUE"."""
         told: dict[str, str] = {}
         for band in (0, *self.dataset.indexes):
-            for domain in (None, *_others(self.dataset, band)):
+            lost = band > 0 and cog and self._has_others
+            for domain in ([] if lost else [None]) + _others(self.dataset, band):
                 told |= self.dataset.tags(band, ns=domain)
         return [f"{name}={shown(value, 40)}" for name, value in told.items() if _tells_size(name)]
+
+    @property
+    def lost_in_cog(self) -> list[str]:
+        """Names of its bands' own metadata, if a cloud-optimised copy lacks them (see `_optimise`)."""
+        own = [name for band in self.dataset.indexes for name in self.dataset.tags(band)] if self._has_others else []
+        return list(dict.fromkeys(own))
+
+    @property
+    def transparent_colours(self) -> int:
+        """Number of colours in its palette that are transparent or partly so, and opaque in the copy: the palette of a
+        GeoTIFF has no transparency. That of a nodata value is none of them."""
+        if not self.paletted:
+            return 0
+        return sum(
+            colour[3] < 255 for value, colour in self.dataset.colormap(1).items() if value != self.dataset.nodata
+        )
+
+    @property
+    def _has_others(self) -> bool:
+        """Whether there are metadata that are copied besides those of the default domain."""
+        return any(_others(self.dataset, band) for band in (0, *self.dataset.indexes))
 
     def _has_room(self) -> bool:
         with self.path.open("rb") as file:
@@ -149,7 +170,7 @@ class Original:
             OVERVIEWS="AUTO",
             RESAMPLING="NEAREST" if self.paletted else "AVERAGE",
             NUM_THREADS="ALL_CPUS",
-            COPY_SRC_MDD="YES" if any(_others(self.dataset, band) for band in (0, *self.dataset.indexes)) else "AUTO",
+            COPY_SRC_MDD="YES" if self._has_others else "AUTO",
         )
 
     def convert(self, path: Path, place: Placement, **options: Any) -> None:

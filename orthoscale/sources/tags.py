@@ -120,6 +120,8 @@ def read_tags(path: Path) -> Tags:
             warnings.simplefilter("always")
             (width, height), packet = image.size, image.info.get("xmp", b"")
             base = image.getexif()
+            if image.format == "TIFF":  # Pillow gives the size after the turn that the orientation asks for
+                width, height = base[0x0100], base[0x0101]
             exif, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
     except UnidentifiedImageError as error:
         raise InputError(f"{path}: not an image that can be read", READABLE_PHOTOS) from error

@@ -5,10 +5,7 @@ Their files do not state the sizes of the images, so the frames are needed.
 
 from __future__ import annotations
 
-import os
-import posixpath
 import shutil
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
@@ -21,7 +18,7 @@ from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, image_names, read_text_model
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .fingerprint import Stamp
-from .frames import find_frames, image_folder
+from .frames import find_frames, image_folder, places_of
 from .json_model import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size
@@ -67,16 +64,10 @@ class TextSource(OneFileSource):
 
 
 def _names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
-    """`image_names`, with slashes between folders, since VisualSFM is mostly used on Windows. If all are absolute paths
-    of another machine (no such file is on this one), they are made relative to the folder that they share."""
+    """`image_names`, with slashes between folders, since VisualSFM is mostly used on Windows, and as `places_of` has
+    them."""
     given, lists = image_names(path, text)
-    names = [PureWindowsPath(name).as_posix() for name in given]
-    if not all(PureWindowsPath(name).root for name in names) or any(map(os.path.isfile, names)):
-        return names, lists
-    with suppress(ValueError):  # on several drives
-        shared = posixpath.commonpath([posixpath.dirname(name) for name in names])
-        names = [posixpath.relpath(name, shared) for name in names]
-    return names, lists
+    return places_of([PureWindowsPath(name).as_posix() for name in given]), lists
 
 
 def _size(path: Path) -> tuple[int, int]:
