@@ -42,9 +42,9 @@ from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.normal import ROBUST_SD
-from orthoscale.detect.detector import CUT, Passes
+from orthoscale.detect.detector import CUT
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import look_twice, one_pass, tiles
+from orthoscale.detect.tiles import AnyDetector, FunctionDetector, look_twice, one_pass, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -297,20 +297,11 @@ def _decoded_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def twice_seen(
-    pictures: Sequence[PictureFile],
-    zoom: float,
-    detect: Callable[[np.ndarray], Boxes],
-    confirm: Callable[[np.ndarray], Boxes] | None = None,
-) -> dict[str, Boxes]:
-    """Vehicles by picture name that two passes show, as in a user's sweep, with the mean score of both.
-
-    confirm : makes the second pass, whose sizes then do not count; by default `detect` makes it.
-    """
+def twice_seen(pictures: Sequence[PictureFile], zoom: float, detector: AnyDetector) -> dict[str, Boxes]:
+    """Vehicles by picture name that two passes show, as in a user's sweep, with the mean score of both."""
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
-    looks = ((number, look_twice(*job, detect, confirm)) for number, job in enumerate(jobs))
-    passes = Passes.CONFIRMED if confirm else Passes.FINE_FIRST
-    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, passes=passes).boxes
+    looks = ((number, look_twice(*job, detector)) for number, job in enumerate(jobs))
+    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, passes=detector.passes).boxes
 
 
 def evaluate(
@@ -323,11 +314,12 @@ def evaluate(
     confirm: Callable[[np.ndarray], Boxes] | None = None,
 ) -> tuple[Result, list[Comparison]]:
     """Sweep a scene's pictures at `aside` times the right zoom, and compare. `detect` gives boxes of all scores; the
-    figures are for boxes with at least `score` (the mean of both passes if there are two). confirm : see
-    `twice_seen`."""
+    figures are for boxes with at least `score` (the mean of both passes if there are two). confirm : makes the second
+    pass, whose sizes then do not count; by default `detect` makes it."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
+    twice = FunctionDetector(detect, confirm and FunctionDetector(confirm))
+    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, twice)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.

@@ -34,6 +34,7 @@ from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
 from orthoscale.detect.shade import LEAST_PAINTED, dark_and_light, larger
+from orthoscale.detect.tiles import FunctionDetector
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
@@ -207,7 +208,8 @@ class _Pixels:
 def detected(detector: Detector, pixels: np.ndarray, box: np.ndarray) -> np.ndarray | None:
     """The detector's box of the vehicle in `box` (5,), both looks at its best zoom; None if it does not find it."""
     zoom = detector.card.best_length / box[2]
-    found = twice_seen([_Pixels(pixels)], zoom, lambda image: detector(image, threshold=0.2))["window"]  # type: ignore[list-item]
+    sensitive = FunctionDetector(lambda image: detector(image, threshold=0.2))
+    found = twice_seen([_Pixels(pixels)], zoom, sensitive)["window"]  # type: ignore[list-item]
     i, _, _ = matched(found, Boxes(box[None], np.ones(1)), 0.4)
     return found.xylwa[i[0]] if len(i) else None
 
