@@ -464,7 +464,7 @@ def margin_table(names: Sequence[str], known: Sequence[tuple], margin: Margin) -
     return "\n".join(lines)
 
 
-def main() -> None:
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
     parser.add_argument("--confirming", type=Path, help="detector that takes the second look")
@@ -490,6 +490,29 @@ def main() -> None:
         parser.error(
             "nothing to compare with: give --labels, --checked, --by-hand, --rendered, --reference or --margin"
         )
+    return options
+
+
+def scenes_of(options: argparse.Namespace) -> list[Scene]:
+    """All scenes that the options name."""
+    scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
+    scenes += [*place_scenes(options.checked), *checked_scenes(options.checked)] if options.checked else []
+    scenes += measured_scenes(options.by_hand) if options.by_hand else []
+    scenes += [rendered_scene(options.rendered)] if options.rendered else []
+    return scenes + [reference_scene(text) for text in options.reference]
+
+
+def margins(texts: Sequence[str], detect: Callable[[np.ndarray], Boxes], best_length: float, score: float) -> dict:
+    """Fit the margin to the pictures that the `texts` name (see `known_boxes`), and print it; returns its figures."""
+    known = [known_boxes(text, detect, best_length, score) for text in texts]
+    names = [Path(text.rsplit(":", 2)[0]).name for text in texts]
+    margin = fit_margin(known)
+    print(margin_table(names, known, margin))
+    return {**{name: np.round(value, 3).tolist() for name, value in asdict(margin).items()}, "names": names}
+
+
+def main() -> None:
+    options = arguments()
 
     from orthoscale.detect.detector import Detector
 
@@ -500,13 +523,8 @@ def main() -> None:
     score = options.score or (sure if options.looks == 2 else 0) or card.score
     detect = partial(detector, threshold=LOWEST_SCORE)
     confirm = confirming and partial(confirming, threshold=LOWEST_SCORE)
-    scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
-    scenes += [*place_scenes(options.checked), *checked_scenes(options.checked)] if options.checked else []
-    scenes += measured_scenes(options.by_hand) if options.by_hand else []
-    scenes += [rendered_scene(options.rendered)] if options.rendered else []
-    scenes += [reference_scene(text) for text in options.reference]
     results, pictures, complete = [], [], []
-    for scene in scenes:
+    for scene in scenes_of(options):
         result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks, options.aside, confirm)
         results.append(result)
         complete += comparisons if scene.complete else []
@@ -519,12 +537,7 @@ def main() -> None:
             print(at_equal_recall(complete))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
-        known = [known_boxes(text, detect, card.best_length, options.score or card.score) for text in options.margin]
-        names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
-        margin = fit_margin(known)
-        print(margin_table(names, known, margin))
-        report["margin"] = {name: np.round(value, 3).tolist() for name, value in asdict(margin).items()}
-        report["margin"]["names"] = names
+        report["margin"] = margins(options.margin, detect, card.best_length, options.score or card.score)
     if options.json:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
     if pictures:
