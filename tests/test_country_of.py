@@ -1,19 +1,23 @@
 """The country is proposed by the input: by its georeferencing, OpenSfM's reference, or GPS in EXIF; a name wins."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
+from support.drawings import Drawing
 from support.photos import write_photo
 
+from orthoscale.core.boxes import Boxes
 from orthoscale.countries import with_article
 from orthoscale.sources.country import country_of, fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.location import Location, location_in, location_of
 from orthoscale.sources.opening import open_source
+from orthoscale.sources.picture_file import PictureFile
 
 
 def orthophoto(path, crs, west, north, pixel):
@@ -58,6 +62,9 @@ def test_the_place_of_a_picture_is_its_gps_position(tmp_path):
     assert fleet_at(found)[0].code == "JP" and "b.jpg" in found.told_by
     assert location_in([plain]) is None
     assert fleet_at(location_of(open_source(placed)))[0].code == "JP"
+    drawn, photo = Drawing(64, 48, Boxes.empty()), PictureFile("b.jpg", placed, 64, 48)  # one without a file, and one
+    assert location_of(SimpleNamespace(plan=None, path=tmp_path, pictures=[drawn])) is None
+    assert location_of(SimpleNamespace(plan=None, path=tmp_path, pictures=[drawn, photo])) == found
 
 
 def test_a_reconstruction_lies_where_opensfm_says(tmp_path):

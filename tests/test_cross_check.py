@@ -190,6 +190,7 @@ def test_many_vehicles_are_matched_and_take_little_memory(vehicles):
     assert match(rng.uniform(0, np.ptp(a), a.shape), b, 1.6) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_in_a_car_park_the_place_with_most_in_common_is_the_one(seed):
     """Laid a bay further, nearly as many fall on others."""

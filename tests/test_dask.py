@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.cluster import killing_one
 
-from orthoscale.actions import many
+from orthoscale.actions import processes
 from orthoscale.detect import workers
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
@@ -102,6 +102,6 @@ def test_the_memory_budget_counts_on_a_cluster_too(monkeypatch):
     monkeypatch.setattr(workers, "look_twice", lambda *given: budget.memory())
     detector = SimpleNamespace(settings=(None, None, (), False), sha256="")
     assert list(workers._on_cluster(Elsewhere(), {0: (None, None)}, detector)) == [(0, 3 * 2**30)]
-    monkeypatch.setattr(many, "cluster", lambda address: nullcontext(Elsewhere()))
-    monkeypatch.setattr(many, "one", lambda job: {"exit_code": budget.memory()})
-    assert [row["exit_code"] for _, row in many.on_cluster([{"input": "a.tif"}], "tcp://there:1")] == [3 * 2**30]
+    monkeypatch.setattr(processes, "cluster", lambda address: nullcontext(Elsewhere()))
+    rows = processes.on_cluster([{"input": "a.tif"}], "tcp://there:1", lambda job: {"exit_code": budget.memory()})
+    assert [row["exit_code"] for _, row in rows] == [3 * 2**30]

@@ -209,6 +209,7 @@ def test_they_count_beside_the_vehicles_unless_they_are_left_out(flight):
     assert alone.settings == {**both.settings, "gps": False}
 
 
+@pytest.mark.slow
 def test_a_frame_whose_position_is_wrong_is_no_end_of_it(tmp_path):
     """Its receiver had no fix yet."""
     save_detections(tagged(tmp_path, wrong=(3,)), tmp_path / "boxes.json")
@@ -219,6 +220,7 @@ def test_a_frame_whose_position_is_wrong_is_no_end_of_it(tmp_path):
     assert low < UNIT < high
 
 
+@pytest.mark.slow
 def test_positions_that_contradict_the_vehicles_are_not_averaged(tmp_path):
     save_detections(tagged(tmp_path, 2 * UNIT), tmp_path / "boxes.json")
     found = orthoscale.estimate(tmp_path, **usual(tmp_path))

@@ -19,7 +19,7 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import finished, inputs, many
+from orthoscale.actions import finished, inputs, many, processes
 from orthoscale.actions.inputs import Named, outputs_of
 from orthoscale.cli.many import line, tell_rehearsals
 from orthoscale.errors import InputError, UsageError
@@ -434,18 +434,22 @@ def test_a_copy_that_was_damaged_is_not_taken_for_made(batch):
 
 def stand_in(monkeypatch, program):
     """Let the Python `program` be the process that does the jobs."""
-    popen = many.subprocess.Popen
-    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    popen = processes.subprocess.Popen
+
+    def instead(command, **how):
+        return popen([sys.executable, "-c", program], **how)
+
+    monkeypatch.setattr(processes.subprocess, "Popen", instead)
 
 
 @pytest.mark.slow
 def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     """The stand-in dies at one input, as a process does that the kernel kills for its memory."""
     program = (
-        "import os, signal; from orthoscale.actions import many\n"
-        "whole = many.one\n"
-        "many.one = lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else whole(job)\n"
-        "many.serve()"
+        "import os, signal; from orthoscale.actions import many, processes\n"
+        "processes.serve(\n"
+        "    lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else many.one(job)\n"
+        ")"
     )
     stand_in(monkeypatch, program)
     request = EstimateRequest(fleet="DE", detections=parks / "boxes.json")
@@ -470,16 +474,14 @@ def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
 def test_a_stop_tells_of_copies_that_were_just_put_in_place(parks, tmp_path, monkeypatch):
     """Those of processes whose answers had not come yet: "nothing was written" was said of them."""
     program = (
-        "import signal; from orthoscale.actions import many\n"
-        "whole = many.one\n"
+        "import signal; from orthoscale.actions import many, processes\n"
         "def one(job):\n"
-        "    row = whole(job)\n"
+        "    row = many.one(job)\n"
         "    if 'b.png' in job['input']:\n"
         "        open(job['out'] + '.made', 'w').close()\n"
         "        signal.pause()\n"
         "    return row\n"
-        "many.one = one\n"
-        "many.serve()"
+        "processes.serve(one)"
     )
     stand_in(monkeypatch, program)
     monkeypatch.setattr(many.stopping, "written", [])
@@ -501,19 +503,30 @@ def test_a_process_ends_also_if_a_library_swallows_the_stop(parks, monkeypatch):
     """It waited for a next job, and the program for its end."""
     program = (
         "import os, signal\n"
-        "from orthoscale.actions import many\n"
+        "from orthoscale.actions import many, processes\n"
         "def one(job):\n"
         "    try:\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "        signal.pause()\n"
         "    except KeyboardInterrupt:\n"
         "        return dict.fromkeys(many.COLUMNS) | {'input': job['input'], 'exit_code': 0}\n"
-        "many.one = one\n"
-        "many.serve()"
+        "processes.serve(one)"
     )
     stand_in(monkeypatch, program)
     (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
     assert row["exit_code"] == 1 and "was stopped" in row["error"]
+
+
+def test_a_bug_in_a_process_is_one_line_of_its_row(parks, monkeypatch, capfd):
+    program = (
+        "from orthoscale.actions import many, processes\n"
+        "many.measured = lambda *given: 1 / 0\n"
+        "processes.serve(many.one)"
+    )
+    stand_in(monkeypatch, program)
+    (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
+    assert row["exit_code"] == 1 and row["error"] == "ZeroDivisionError: division by zero"
+    assert capfd.readouterr().err == ""
 
 
 def test_what_speaks_of_one_input_is_refused(parks):
@@ -612,7 +625,8 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
         request = FixRequest(fleet="DE", detections=parks / "boxes.json", report="none")
         todo = many.jobs_of("fix", inputs, request, tmp_path / "out")
         (tmp_path / "out").mkdir()
-        rows = [row for _, row in sorted(many.on_cluster(todo, cluster.scheduler_address), key=lambda each: each[0])]
+        done = processes.on_cluster(todo, cluster.scheduler_address, many.one)
+        rows = [row for _, row in sorted(done, key=lambda each: each[0])]
     assert [(row["exit_code"], row["error"]) for row in rows] == [(0, None)] * 6
     alone = orthoscale.estimate(inputs[0], fleet="DE", detections=parks / "boxes.json")
     assert {row["scale"] for row in rows} == {alone.scale.value}

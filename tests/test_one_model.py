@@ -44,6 +44,7 @@ def holds(scale: Scale) -> bool:
     return scale.interval90[0] <= GSD <= scale.interval90[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ruler", (RULER, WITH_KINDS), ids=("sizes alone", "with kinds"))
 def test_a_lot_of_full_size_pickups_is_not_read_as_cars_at_another_scale(ruler):
     scales = [pool(lot(k, FULL_SIZE_PICKUP, "pickup", ruler), load_fleet("US"), ruler, "m/px") for k in range(10)]

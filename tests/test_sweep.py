@@ -25,7 +25,7 @@ from orthoscale.detect.coarse_pass import UNPROMISING, coarse_pass
 from orthoscale.detect.detector import Detector, Passes
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Stop, sweep_twice
-from orthoscale.detect.tiles import Looks, look_twice, tiles
+from orthoscale.detect.tiles import FunctionDetector, Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
 from orthoscale.locate.maps import FEATURE_CODE
@@ -139,7 +139,7 @@ def test_an_error_in_a_thread_ends_the_sweep_at_once(town):
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        list(on_threads(dict(enumerate(jobs_of(town[0]))), detect, 2))
+        list(on_threads(dict(enumerate(jobs_of(town[0]))), FunctionDetector(detect), 2))
     assert len(seen) <= 6
 
 
@@ -148,7 +148,7 @@ def test_a_tile_without_data_is_not_looked_at():
         raise AssertionError
 
     (tile,) = tiles(Drawing(300, 200, Boxes.empty()), 1.0)
-    assert len(look_twice(Drawing(300, 200, Boxes.empty()), tile, detect).fine) == 0
+    assert len(look_twice(Drawing(300, 200, Boxes.empty()), tile, FunctionDetector(detect)).fine) == 0
 
 
 def test_a_tile_in_which_nothing_was_seen_is_not_looked_at_again():
@@ -162,8 +162,10 @@ def test_a_tile_in_which_nothing_was_seen_is_not_looked_at_again():
         asked.append(image.shape)
         return Boxes.empty()
 
-    assert not len(look_twice(picture, tile, lambda _: Boxes.empty(), second).coarse) and not asked
-    look_twice(picture, tile, lambda _: Boxes([[200, 200, 40, 17, 0.2]], [0.9]), second)
+    nothing = FunctionDetector(lambda _: Boxes.empty(), FunctionDetector(second))
+    assert not len(look_twice(picture, tile, nothing).coarse) and not asked
+    one = Boxes([[200, 200, 40, 17, 0.2]], [0.9])
+    look_twice(picture, tile, FunctionDetector(lambda _: one, nothing.confirming))
     assert len(asked) == 1
 
 
@@ -177,8 +179,10 @@ def test_two_networks_must_agree_and_the_first_measures():
     def smaller(image):
         return Boxes(np.array([car, pond]) * [1, 1, 0.9, 0.8, 1], [0.5, 0.9]).mapped(image.shape[1] / 500)
 
-    looks = look_twice(picture, tile, lambda _: Boxes([car, shed], [0.4, 0.9]), smaller)
-    found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], sure=0.44, passes=Passes.CONFIRMED)
+    detector = FunctionDetector(lambda _: Boxes([car, shed], [0.4, 0.9]), FunctionDetector(smaller))
+    looks = look_twice(picture, tile, detector)
+    assert detector.passes == Passes.CONFIRMED
+    found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], sure=0.44, passes=detector.passes)
     assert found.boxes["drawing"].xylwa == pytest.approx(np.array([car]))
     assert found.boxes["drawing"].score == pytest.approx([0.45])
     assert found.doubtful["drawing"].xylwa == pytest.approx(np.array([shed]))
@@ -239,7 +243,7 @@ def test_what_two_passes_show_must_be_seen_by_the_finder_too_where_nothing_else_
     twice = look_twice(picture, tile, Detector(threads=1))
 
     def vehicles(finder):
-        detector.confirming = finder
+        detector.confirming = FunctionDetector(finder)
         looks = look_twice(picture, tile, detector)
         found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], passes=detector.passes)
         return len(found.boxes["drawing"]), len(found.doubtful["drawing"])
@@ -494,7 +498,6 @@ def test_code_of_every_kind_of_picture_is_part_of_the_key():
 def test_the_key_holds_the_input_and_the_settings(picture_file):
     class Other(RectangleDetector):
         sha256 = "b" * 64
-        confirming, passes = None, Passes.FINE_FIRST
         layout = None
 
     detector = Other()

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pyogrio
+import pyproj
 import pytest
 import shapely
+from rasterio.crs import CRS
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.formats.detections.geo import read_geopackage, write_geopackage
@@ -41,6 +43,19 @@ def test_layers_are_written_under_the_name_that_was_given(odd, tmp_path, ending)
     moved = path.rename(tmp_path / f"plain{ending}")
     assert len(found := pyogrio.list_layers(moved)) == len(layers)
     assert len(pyogrio.raw.read(moved, layer=found[-1, 0])[2]) == 1
+
+
+@pytest.mark.parametrize(
+    ("crs", "code"),
+    [
+        *((crs, "EPSG:32632") for crs in ("EPSG:32632", CRS.from_epsg(32632), pyproj.CRS.from_epsg(32632))),
+        *((crs, None) for crs in (None, CRS())),
+    ],
+)
+def test_a_layer_has_the_crs_that_was_given_in_any_form(tmp_path, crs, code):
+    path = tmp_path / "a.gpkg"
+    write_layer(path, "places", [SQUARE], [{"a": 1}], "Polygon", crs)
+    assert pyogrio.read_info(path)["crs"] == code
 
 
 def test_two_slashes_at_the_start_name_no_server(tmp_path):

@@ -3,10 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from support.drawings import WithoutNetwork
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.detector import Detector, Passes
+from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
@@ -112,10 +113,8 @@ def test_only_promising_zooms_are_looked_at_more_widely():
     assert pixels[zooms > 3].sum() < 15e6
 
 
-class Seen:
+class Seen(WithoutNetwork):
     """A detector that sees boxes of a picture wherever they are usable; those with chance below 1 now and then."""
-
-    confirming, passes = None, Passes.FINE_FIRST
 
     def __init__(self, picture, boxes, chance):
         self.picture, self.boxes, self.chance = picture, boxes, np.asarray(chance)

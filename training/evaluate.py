@@ -42,9 +42,9 @@ from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.normal import ROBUST_SD
-from orthoscale.detect.detector import CUT, Passes
+from orthoscale.detect.detector import CUT
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import look_twice, one_pass, tiles
+from orthoscale.detect.tiles import AnyDetector, FunctionDetector, look_twice, one_pass, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -297,20 +297,11 @@ def _decoded_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def twice_seen(
-    pictures: Sequence[PictureFile],
-    zoom: float,
-    detect: Callable[[np.ndarray], Boxes],
-    confirm: Callable[[np.ndarray], Boxes] | None = None,
-) -> dict[str, Boxes]:
-    """Vehicles by picture name that two passes show, as in a user's sweep, with the mean score of both.
-
-    confirm : makes the second pass, whose sizes then do not count; by default `detect` makes it.
-    """
+def twice_seen(pictures: Sequence[PictureFile], zoom: float, detector: AnyDetector) -> dict[str, Boxes]:
+    """Vehicles by picture name that two passes show, as in a user's sweep, with the mean score of both."""
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
-    looks = ((number, look_twice(*job, detect, confirm)) for number, job in enumerate(jobs))
-    passes = Passes.CONFIRMED if confirm else Passes.FINE_FIRST
-    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, passes=passes).boxes
+    looks = ((number, look_twice(*job, detector)) for number, job in enumerate(jobs))
+    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, passes=detector.passes).boxes
 
 
 def evaluate(
@@ -323,11 +314,12 @@ def evaluate(
     confirm: Callable[[np.ndarray], Boxes] | None = None,
 ) -> tuple[Result, list[Comparison]]:
     """Sweep a scene's pictures at `aside` times the right zoom, and compare. `detect` gives boxes of all scores; the
-    figures are for boxes with at least `score` (the mean of both passes if there are two). confirm : see
-    `twice_seen`."""
+    figures are for boxes with at least `score` (the mean of both passes if there are two). confirm : makes the second
+    pass, whose sizes then do not count; by default `detect` makes it."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
+    twice = FunctionDetector(detect, confirm and FunctionDetector(confirm))
+    found = one_pass(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, twice)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there need not be found.
@@ -472,7 +464,7 @@ def margin_table(names: Sequence[str], known: Sequence[tuple], margin: Margin) -
     return "\n".join(lines)
 
 
-def main() -> None:
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
     parser.add_argument("--confirming", type=Path, help="detector that takes the second look")
@@ -498,6 +490,29 @@ def main() -> None:
         parser.error(
             "nothing to compare with: give --labels, --checked, --by-hand, --rendered, --reference or --margin"
         )
+    return options
+
+
+def scenes_of(options: argparse.Namespace) -> list[Scene]:
+    """All scenes that the options name."""
+    scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
+    scenes += [*place_scenes(options.checked), *checked_scenes(options.checked)] if options.checked else []
+    scenes += measured_scenes(options.by_hand) if options.by_hand else []
+    scenes += [rendered_scene(options.rendered)] if options.rendered else []
+    return scenes + [reference_scene(text) for text in options.reference]
+
+
+def margins(texts: Sequence[str], detect: Callable[[np.ndarray], Boxes], best_length: float, score: float) -> dict:
+    """Fit the margin to the pictures that the `texts` name (see `known_boxes`), and print it; returns its figures."""
+    known = [known_boxes(text, detect, best_length, score) for text in texts]
+    names = [Path(text.rsplit(":", 2)[0]).name for text in texts]
+    margin = fit_margin(known)
+    print(margin_table(names, known, margin))
+    return {**{name: np.round(value, 3).tolist() for name, value in asdict(margin).items()}, "names": names}
+
+
+def main() -> None:
+    options = arguments()
 
     from orthoscale.detect.detector import Detector
 
@@ -508,13 +523,8 @@ def main() -> None:
     score = options.score or (sure if options.looks == 2 else 0) or card.score
     detect = partial(detector, threshold=LOWEST_SCORE)
     confirm = confirming and partial(confirming, threshold=LOWEST_SCORE)
-    scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
-    scenes += [*place_scenes(options.checked), *checked_scenes(options.checked)] if options.checked else []
-    scenes += measured_scenes(options.by_hand) if options.by_hand else []
-    scenes += [rendered_scene(options.rendered)] if options.rendered else []
-    scenes += [reference_scene(text) for text in options.reference]
     results, pictures, complete = [], [], []
-    for scene in scenes:
+    for scene in scenes_of(options):
         result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks, options.aside, confirm)
         results.append(result)
         complete += comparisons if scene.complete else []
@@ -527,12 +537,7 @@ def main() -> None:
             print(at_equal_recall(complete))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
-        known = [known_boxes(text, detect, card.best_length, options.score or card.score) for text in options.margin]
-        names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
-        margin = fit_margin(known)
-        print(margin_table(names, known, margin))
-        report["margin"] = {name: np.round(value, 3).tolist() for name, value in asdict(margin).items()}
-        report["margin"]["names"] = names
+        report["margin"] = margins(options.margin, detect, card.best_length, options.score or card.score)
     if options.json:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
     if pictures:

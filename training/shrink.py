@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
+from orthoscale.detect.tiles import AnyDetector
 
 from .evaluate import IOU, picture_files, twice_seen
 
@@ -65,14 +66,14 @@ def fit_shrink(known: Sequence[tuple[np.ndarray, np.ndarray, float]], margin: Se
 
 
 def known_vehicles(
-    path: Path, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
+    path: Path, detector: AnyDetector, best_length: float, score: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """One picture for `fit_shrink`, with its ``.truth.json``. Raises ValueError if too few vehicles are found."""
     truth = json.loads(path.with_suffix(".truth.json").read_text())
     rows = [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in truth["boxes"] if b["visible"] > WHOLE]
     exact = Boxes(np.array(rows), np.ones(len(rows)))
     zoom = best_length / float(np.median(exact.length))
-    found = Boxes.concatenate(list(twice_seen(picture_files(path), zoom, detect).values()))
+    found = Boxes.concatenate(list(twice_seen(picture_files(path), zoom, detector).values()))
     found = found[found.score >= score]
     i, j, _ = matched(exact, found, IOU)
     if len(i) < MIN_VEHICLES:

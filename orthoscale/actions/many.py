@@ -1,47 +1,34 @@
 """Many inputs in one command: each is processed independently, and the failure of one does not affect the others.
 
-An input becomes a job, a dict of plain values. Jobs are sent to processes on this machine or to a Dask cluster, and
-each comes back as a row of one table.
+An input becomes a job, a dict of plain values. Jobs are done in processes on this machine or on a Dask cluster
+(`processes`), and each comes back as a row of one table.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 from ..core.claims import own_claim
 from ..core.source import Source
-from ..detect.foreign_worker import receive, send
-from ..detect.workers import MOST_THREADS, cluster, cores
+from ..detect.workers import MOST_THREADS, cores
 from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
 from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
-from ..system.budget import allow, memory
 from ..system.paths import absolute
-from ..system.threads import Threads
 from .check import checked
 from .estimate import measured, noted
 from .finished import finished
 from .fix import written
 from .inputs import outputs_of
-
-BUG = 1
-"""Exit code of an input that met a bug of orthoscale, or whose process died."""
-
-Job = dict[str, Any]
-"""action, input, out (None unless it is `fix`), settings: those of the request, alone: whether it is the only job."""
+from .processes import BUG, Job, in_processes, on_cluster
 
 
 def run_many(
@@ -71,7 +58,8 @@ def run_many(
         check_folder(out)
         out.mkdir(exist_ok=True)
     rows: list[Row] = [{}] * len(todo)
-    work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
+    address = request.scheduler
+    work = in_processes(todo, jobs, one) if address is None else on_cluster(todo, address, one)
     try:
         for k, row in work:
             rows[k] = row
@@ -93,7 +81,11 @@ def jobs_of(
     jobs: int = 1,
     places: Sequence[Path] | None = None,
 ) -> list[Job]:
-    """A job for each of `inputs`; the arguments are those of `run_many`. All paths but the inputs' are absolute."""
+    """A job for each of `inputs`; the arguments are those of `run_many`. All paths but the inputs' are absolute.
+
+    It has action, input, out (None unless it is `fix`), settings: those of the request, alone: whether it is the only
+    job.
+    """
     if out is not None and places is None:
         places = outputs_of(inputs, out)
     outs = [None] * len(inputs) if places is None else [str(absolute(place)) for place in places]
@@ -194,135 +186,3 @@ def check_folder(out: Path) -> None:
         raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out.absolute().parent} is not a folder", "Create it first, or choose another place.")
-
-
-# --- Who does them ---------------------------------------------------------------------------------------------------
-
-
-def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
-    free: SimpleQueue[_Child] = SimpleQueue()
-    children = [_Child() for _ in range(min(jobs, len(todo)))]
-    for child in children:
-        free.put(child)
-
-    def give(job: Job) -> Row:
-        child = free.get()
-        try:
-            return child.do(job)
-        finally:
-            free.put(child)
-
-    with Threads(len(children)) as pool:
-        try:
-            futures = {pool.submit(give, job): k for k, job in enumerate(todo)}
-            for future in as_completed(futures):
-                yield futures.pop(future), future.result()
-        finally:
-            with stopping.held():  # a second signal must not leave any of them running
-                for child in children:
-                    child.end()
-                # A copy that was in place before its process ended is there: the user is told so.
-                outputs = [future.result()["output"] for future in futures]
-                stopping.written.extend(output for output in outputs if output is not None)
-                for child in children:
-                    child.close()
-
-
-class _Child:
-    """A process that does jobs, one at a time; one that dies takes only its own job with it."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen | None = None
-        self._over = False
-
-    def do(self, job: Job) -> Row:
-        if self._process is None or self._process.poll() is not None:
-            if self._over:
-                return _died(job, "was stopped")
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C reaches only the parent, which passes it on
-            )
-        assert self._process.stdin is not None and self._process.stdout is not None  # pipes were asked for
-        level = logging.getLogger("orthoscale").level
-        try:
-            send(self._process.stdin, {"job": job, "memory": memory(), "log": level})
-            return receive(self._process.stdout)[0]
-        except (EOFError, OSError, ValueError):
-            return _died(job, f"ended with {self._process.wait()}")
-
-    def end(self) -> None:
-        """Stop the process; it removes what it was writing."""
-        self._over = True
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
-            self._process.wait()
-
-    def close(self) -> None:
-        """Close the pipes of a process that has ended, after its last answer was read."""
-        for pipe in (self._process.stdin, self._process.stdout) if self._process is not None else ():
-            with suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]
-
-
-def _died(job: Job, how: str) -> Row:
-    error = {"error": f"its process {how}", "hint": "Run it alone; if memory ran out, allow less by --memory."}
-    return {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": BUG, **error}
-
-
-def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
-    """Do the jobs `todo` on the Dask cluster at `address`; yields the number and row of each as soon as it is done.
-
-    Raises UsageError if no scheduler answers.
-    """
-    from distributed import as_completed as as_done
-
-    with cluster(address) as client:
-        elsewhere = [{**job, "input": str(absolute(job["input"]))} for job in todo]
-        futures = {client.submit(_one_within, memory(), job, pure=False): k for k, job in enumerate(elsewhere)}
-        try:
-            for future in as_done(futures, loop=client.loop):
-                k = futures[future]
-                # The job of a lost worker goes to another; the cluster gives a job up only if it kills every worker.
-                lost = future.exception()
-                row = (
-                    future.result() if lost is None else _died(todo[k], f"was lost with the cluster's workers ({lost})")
-                )
-                yield k, {**row, "input": todo[k]["input"]}
-        finally:
-            client.cancel([future for future in futures if not future.done()])
-
-
-def _one_within(budget: int, job: Job) -> Row:
-    """`one` in a process of its own, with a memory `budget` [byte]."""
-    allow(budget)
-    return one(job)
-
-
-def serve() -> None:
-    """Do the jobs that come on standard input, until it ends; rows go to standard output."""
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print must not mix with the answers
-    talk = logging.StreamHandler()
-    talk.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
-    logging.captureWarnings(True)
-    logging.getLogger().addHandler(logging.NullHandler())
-    logging.getLogger("orthoscale").addHandler(talk)
-    with suppress(EOFError, OSError, KeyboardInterrupt), stopping.listening():
-        while True:
-            head, _ = receive(requests)
-            logging.getLogger("orthoscale").setLevel(head["log"])
-            try:
-                row = _one_within(head["memory"], job := head["job"])
-                stopping.check()  # a library may have swallowed it, and the next job would never come
-            except KeyboardInterrupt:
-                there = job["out"] if job["out"] in stopping.written else None
-                send(answers, {**_died(job, "was stopped"), "output": there})
-                raise
-            send(answers, row)
-
-
-if __name__ == "__main__":
-    serve()

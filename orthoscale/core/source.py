@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -36,6 +36,14 @@ class Picture(Protocol):
         The window lies inside the image. Pixels without data are grey (114). Shrinking averages; enlarging is bicubic.
         """
         ...
+
+
+@runtime_checkable
+class FilePicture(Picture, Protocol):
+    """A picture that is the whole of an image file, whose tags are then its own. path : of the file."""
+
+    @property
+    def path(self) -> Path: ...
 
 
 class Claim(Protocol):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ..core.projection.view import LOWEST_ELEVATION
+from ..core.projection.view import LOWEST_ELEVATION, even_pixels
 from ..core.source import NEAR_NADIR, PosedSet
 
 # With fewer frames than this, all are processed: it takes seconds, and so few frames show few vehicles, so each counts.
@@ -72,8 +72,8 @@ def places_seen(source: PosedSet, names: Sequence[str]) -> dict[str, np.ndarray]
     middle = source.ground.plane(centres).mean(0)  # not the origin, which may lie anywhere: it would choose the frames
     places = {}
     for name in names:
-        x, y = (np.linspace(0.5, size - 0.5, n) for size, n in zip(source.image_size(name), ASKED_AT, strict=True))
-        views, world, ok = source.views(name, np.stack(np.meshgrid(x, y), -1).reshape(-1, 2), LOWEST_ELEVATION)
+        asked = even_pixels(source.image_size(name), ASKED_AT)
+        views, world, ok = source.views(name, asked, LOWEST_ELEVATION)
         place = np.floor((source.ground.plane(world[ok]) - middle) / side).astype(int)
         steep = views.elevation[ok] >= np.radians(NEAR_NADIR)
         places[name] = np.unique(np.column_stack([place, steep]), axis=0)

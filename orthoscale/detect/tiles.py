@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
 from ..system.threads import Threads
-from .detector import CUT, CUT_OBJECT, OVERLAP, VEHICLES, Detector, Passes
+from .detector import CUT, CUT_OBJECT, OVERLAP, VEHICLES, Passes
 from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
@@ -29,6 +30,47 @@ PART_BORDER = 96
 PART_GRID = 128  # parts of a tile begin and end at multiples of this [px of the input]: few sizes, and whole strides
 
 Detect = Callable[[np.ndarray], Boxes]
+
+
+class AnyDetector(Protocol):
+    """What can make the two passes over a tile: a `Detector`, or a `FunctionDetector`.
+
+    passes : which network makes which pass. confirming : the finder, if `passes` need one. takes_parts : whether it
+    detects the same in a part of an image as in the whole.
+    """
+
+    @property
+    def passes(self) -> Passes: ...
+    @property
+    def confirming(self) -> AnyDetector | None: ...
+    @property
+    def takes_parts(self) -> bool: ...
+
+    def see(self, image: np.ndarray) -> dict[str, Boxes]:
+        """Boxes by kind in `image`, RGB uint8 (h, w, 3), before non-maximum suppression [px of the image]."""
+        ...
+
+
+@dataclass(frozen=True)
+class FunctionDetector:
+    """A detector from a function that knows vehicles only. confirming : makes the coarse pass instead."""
+
+    detect: Detect
+    confirming: AnyDetector | None = None
+
+    @property
+    def passes(self) -> Passes:
+        """CONFIRMED if there is another one for the coarse pass, else FINE_FIRST."""
+        return Passes.CONFIRMED if self.confirming else Passes.FINE_FIRST
+
+    @property
+    def takes_parts(self) -> bool:
+        """No: nothing is known of the function."""
+        return False
+
+    def see(self, image: np.ndarray) -> dict[str, Boxes]:
+        """See `AnyDetector.see`."""
+        return {VEHICLES: self.detect(image)}
 
 
 @dataclass(frozen=True)
@@ -94,23 +136,19 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
     return place(detect(read(picture, tile)), tile)
 
 
-def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
+def look_twice(picture: Picture, tile: Tile, detector: AnyDetector) -> Looks:
     """Two passes over one tile, whose pixels are read once. A tile of one grey (no data) is left out.
 
     Only what both passes show counts, and most of the area of many surveys is empty, so the second pass looks only
-    around the boxes of the first. A Detector's `passes` say which is the first, and which network makes each.
-    confirm : makes the coarse pass instead.
+    around the boxes of the first. The detector's `passes` say which is the first, and which network makes each.
     """
     image = read(picture, tile)
     if one_grey(image):
         return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
-    passes = detect.passes if isinstance(detect, Detector) else Passes.FINE_FIRST
-    finder = detect.confirming if isinstance(detect, Detector) else None
-    if passes == Passes.CONFIRMED:
-        confirm = confirm or finder
-    fine = _Pass(detect, image, tile.out_width, tile.out_height)
-    coarse = _Pass(confirm or detect, image, width, height)
+    passes, finder = detector.passes, detector.confirming
+    fine = _Pass(detector, image, tile.out_width, tile.out_height)
+    coarse = _Pass(finder if finder and passes == Passes.CONFIRMED else detector, image, width, height)
     if passes == Passes.COARSE_FIRST:
         seen_coarsely = coarse.whole()
         seen_finely = fine.around(seen_coarsely, coarse)
@@ -134,11 +172,10 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
 class _Pass:
     """One pass over a tile.
 
-    detect : a Detector, or a function that knows vehicles only. pixels : of the tile. width, height : of the image that
-    it sees [px]. Boxes are by kind.
+    pixels : of the tile. width, height : of the image that the detector sees [px]. Boxes are by kind.
     """
 
-    detect: Detect
+    detector: AnyDetector
     pixels: np.ndarray
     width: int
     height: int
@@ -152,7 +189,7 @@ class _Pass:
 
     def whole(self) -> dict[str, Boxes]:
         """Boxes in all of the image [px of the image]."""
-        return self._seen(self.image)
+        return self.detector.see(self.image)
 
     def around(self, seen: dict[str, Boxes], by: _Pass) -> dict[str, Boxes]:
         """Boxes around those that the pass `by` has `seen`; none if it saw none. A detector that may see less in a part
@@ -160,7 +197,7 @@ class _Pass:
         boxes = Boxes.concatenate(list(seen.values()))
         if not len(boxes):
             return {VEHICLES: boxes}
-        if not (isinstance(self.detect, Detector) and self.detect.takes_parts):
+        if not self.detector.takes_parts:
             return self.whole()
         centre = (boxes.xylwa[:, :2] * (self.width / by.width)).clip(0, (self.width - 1, self.height - 1))
         x, y = (np.maximum(centre.min(0) - PART_BORDER, 0) // PART_GRID * PART_GRID).astype(int).tolist()
@@ -168,11 +205,8 @@ class _Pass:
         part = self.image[y:bottom, x:right]
         return {
             kind: boxes[boxes.inside(part.shape[1], part.shape[0], CUT)].mapped(1, (x, y))
-            for kind, boxes in self._seen(part).items()
+            for kind, boxes in self.detector.see(part).items()
         }
-
-    def _seen(self, image: np.ndarray) -> dict[str, Boxes]:
-        return self.detect.see(image) if isinstance(self.detect, Detector) else {VEHICLES: self.detect(image)}
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:

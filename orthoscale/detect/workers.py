@@ -17,7 +17,7 @@ from ..errors import InputError, OrthoscaleError, UsageError
 from ..system.budget import allow, memory
 from ..system.threads import Threads
 from .detector import Detector, Passes
-from .tiles import Detect, Looks, look_twice
+from .tiles import AnyDetector, Looks, look_twice
 
 Done = TypeVar("Done")
 Jobs = Mapping[int, tuple[Picture, Tile]]
@@ -42,9 +42,9 @@ def worker_count(asked: int | None) -> int:
     return asked or min(cores(), MOST_THREADS)
 
 
-def on_threads(jobs: Jobs, detect: Detect, count: int) -> Iterator[tuple[int, Looks]]:
+def on_threads(jobs: Jobs, detector: AnyDetector, count: int) -> Iterator[tuple[int, Looks]]:
     """Each thread reads, detects and decodes its own tile, so that one reads while another computes."""
-    work = {number: partial(look_twice, picture, tile, detect) for number, (picture, tile) in jobs.items()}
+    work = {number: partial(look_twice, picture, tile, detector) for number, (picture, tile) in jobs.items()}
     return done_on_threads(work, count)
 
 

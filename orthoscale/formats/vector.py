@@ -16,13 +16,13 @@ DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 
 
 def write_layer(
-    path: Path, layer: str, shapes: Sequence[Any], rows: Sequence[Mapping[str, Any]], kind: str, crs: str | None
+    path: Path, layer: str, shapes: Sequence[Any], rows: Sequence[Mapping[str, Any]], kind: str, crs: Any
 ) -> None:
     """Write shapely `shapes` (None for no place) of one `kind` ("Polygon" ...) with their `rows` as one layer.
 
     The file's ending gives the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
     All rows have the same keys; None and numbers that are not finite are missing values, and texts are escaped by
-    `in_utf8`. `crs` is anything GDAL understands. Raises OSError.
+    `in_utf8`. `crs` is a text that GDAL understands, a CRS of rasterio or pyproj, or None. Raises OSError.
     """
     import pyogrio
     import shapely
@@ -39,13 +39,17 @@ def write_layer(
                 field_mask=[mask for _, mask in columns],
                 fields=list(rows[0]),
                 geometry_type=kind,
-                crs=crs,
+                crs=_text(crs),
                 driver=DRIVERS[suffix],
                 layer=layer if suffix == ".gpkg" else None,
                 append=False,
             )
     except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
         raise OSError(f"GDAL could not write the layer {layer} ({error})") from error
+
+
+def _text(crs: Any) -> str | None:
+    return crs if crs is None or isinstance(crs, str) else crs.to_wkt() or None  # an empty one is none
 
 
 def _column(values: list[Any]) -> tuple[np.ndarray, np.ndarray]:

@@ -38,7 +38,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     with the playing areas, in longitude and latitude if the orthophoto has a place on Earth, else in its own
     coordinates."""
     ground = layout.ground
-    crs = ground.crs.to_wkt() if ground.crs else None  # a world file alone has none
+    crs = ground.crs  # a world file alone has none
 
     def in_crs(shape: Any) -> Any:
         return ground.mapped(shape, ground.to_crs)

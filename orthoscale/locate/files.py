@@ -50,18 +50,17 @@ def write_places(
     """Write the layers footprints and cameras, of the photos located, and candidates, in the map's reference system."""
     import shapely
 
-    crs = satellite.crs.to_wkt()
     located = [(outcome, best) for outcome in outcomes if (best := outcome.located) is not None]
     places = [{"photo": o.name, "heading_deg": float(np.degrees(b.heading)), "inliers": b.inliers} for o, b in located]
     outlines = [footprint(o, b) for o, b in located]
     shapes = [None if line is None else shapely.Polygon(satellite.in_crs(line)) for line in outlines]
     if located:
-        write_layer(path, "footprints", shapes, places, "Polygon", crs)
+        write_layer(path, "footprints", shapes, places, "Polygon", satellite.crs)
         feet = [shapely.Point(satellite.in_crs(foot(b))[0]) for _, b in located]
-        write_layer(path, "cameras", feet, places, "Point", crs)
+        write_layer(path, "cameras", feet, places, "Point", satellite.crs)
     if rows:
         points = [shapely.Point(row["x"], row["y"]) for row in rows]
-        write_layer(path, "candidates", points, rows, "Point", crs)
+        write_layer(path, "candidates", points, rows, "Point", satellite.crs)
 
 
 def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:

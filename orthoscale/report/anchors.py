@@ -70,5 +70,4 @@ def write_anchor_layer(anchors: Sequence[Mapping[str, Any]], place: Placement, p
         lines = transformed(np.array(anchor["lines_px"]).reshape(-1, 2, 2), place.transform)
         shapes.append(shapely.multilinestrings(shapely.linestrings(lines)))
         rows.append({name: anchor[name] for name in COLUMNS_OF_LAYER})
-    crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
-    write_layer(path, "anchors", shapes, rows, "MultiLineString", crs)
+    write_layer(path, "anchors", shapes, rows, "MultiLineString", place.crs)

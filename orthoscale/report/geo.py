@@ -91,10 +91,9 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
 
     columns = {name: values.tolist() for name, values in table(result, place).items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
     try:
         if rows:
-            write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
+            write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", place.crs)
             _add_style(path)
         if result.anchors.votes:
             write_anchor_layer(entries(result.anchors.votes, result.scale.value, result.scale.parts), place, path)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from ..core.projection.view import even_pixels
 from ..core.source import NEAR_NADIR, NO_DATA_GREY, PosedSet
 from ..errors import InputError
 from ..system import budget
@@ -102,8 +103,7 @@ def ground_pictures(source: PosedSet, frames: Sequence[PictureFile]) -> list[Gro
     extents, sampling = [], []
     for name in source.picture_names:
         size = source.image_size(name)
-        across, down = (np.linspace(0.5, side - 0.5, n) for side, n in zip(size, SAMPLES, strict=True))
-        views, world, ok = source.views(name, np.stack(np.meshgrid(across, down), -1).reshape(-1, 2), NEAR_NADIR)
+        views, world, ok = source.views(name, even_pixels(size, SAMPLES), NEAR_NADIR)
         if not ok.any():
             continue
         axes = _axes(source, name)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.affine import transformed
-from ..core.source import Claim, Source
+from ..core.source import Claim, FilePicture, Source
 from ..errors import InputError
 from ..formats.degrees import to_degrees
 
@@ -36,7 +36,8 @@ def location_of(source: Source) -> Location | None:
     folder = source.path if source.path.is_dir() else source.path.parent
     if (place := _of_reference(folder / REFERENCE)) is not None:
         return place
-    return location_in([Path(picture.path) for picture in source.pictures[:PICTURES_ASKED] if hasattr(picture, "path")])
+    asked = source.pictures[:PICTURES_ASKED]
+    return location_in(picture.path for picture in asked if isinstance(picture, FilePicture))
 
 
 def location_in(pictures: Iterable[Path]) -> Location | None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.gps import by_positions
-from ..core.source import GpsScale
+from ..core.source import FilePicture, GpsScale
 from ..errors import InputError, OrthoscaleError
 
 if TYPE_CHECKING:
@@ -41,11 +40,11 @@ def _tagged(source: PosedSet) -> tuple[list[str], list[Tags]]:
     """Names and tags of the available frames that have a position; of many frames only every n-th is read."""
     from .tags import read_tags
 
-    pictures = [picture for picture in source.pictures if hasattr(picture, "path")]
+    pictures = [picture for picture in source.pictures if isinstance(picture, FilePicture)]
     names, tags = [], []
     for picture in pictures[:: max(1, -(-len(pictures) // MOST_POSITIONS))]:
         try:
-            told = read_tags(Path(picture.path))
+            told = read_tags(picture.path)
         except InputError:
             continue
         if told.lon_lat is not None:

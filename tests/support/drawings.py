@@ -7,7 +7,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.ruler import Ruler
-from orthoscale.detect.detector import Card, Passes
+from orthoscale.detect.detector import VEHICLES, Card, Passes
 from orthoscale.synthetic.render import ortho_view, render
 from orthoscale.synthetic.scene import make_scene
 
@@ -35,12 +35,20 @@ class Drawing:
         return cv2.resize(window, (out_width, out_height), interpolation=how)
 
 
-class RectangleDetector:
+class WithoutNetwork:
+    """A detector of vehicles only, which is called with whole images."""
+
+    confirming, passes, takes_parts = None, Passes.FINE_FIRST, False
+
+    def see(self, image, threshold=None):
+        return {VEHICLES: self(image, threshold)}
+
+
+class RectangleDetector(WithoutNetwork):
     """Finds white rectangles, like a network only in its range of sizes; its false boxes have its favourite size."""
 
     card = CARD
     name, sha256, sure = "rectangles", "a" * 64, 0.0
-    confirming, passes = None, Passes.FINE_FIRST
 
     def __init__(self, mistakes=0, seed=0):
         self.mistakes, self.rng = mistakes, np.random.default_rng(seed)

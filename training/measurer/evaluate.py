@@ -34,6 +34,7 @@ from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
 from orthoscale.detect.shade import LEAST_PAINTED, dark_and_light, larger
+from orthoscale.detect.tiles import FunctionDetector
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
@@ -207,7 +208,8 @@ class _Pixels:
 def detected(detector: Detector, pixels: np.ndarray, box: np.ndarray) -> np.ndarray | None:
     """The detector's box of the vehicle in `box` (5,), both looks at its best zoom; None if it does not find it."""
     zoom = detector.card.best_length / box[2]
-    found = twice_seen([_Pixels(pixels)], zoom, lambda image: detector(image, threshold=0.2))["window"]  # type: ignore[list-item]
+    sensitive = FunctionDetector(lambda image: detector(image, threshold=0.2))
+    found = twice_seen([_Pixels(pixels)], zoom, sensitive)["window"]  # type: ignore[list-item]
     i, _, _ = matched(found, Boxes(box[None], np.ones(1)), 0.4)
     return found.xylwa[i[0]] if len(i) else None
 
@@ -464,7 +466,7 @@ def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
     return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
 
 
-def main() -> None:
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--measurer", type=Path, required=True)
     parser.add_argument("--detector", type=Path, default=SHIPPED, help="(%(default)s)")
@@ -498,36 +500,41 @@ def main() -> None:
     for command in (b, d):
         command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
     p.add_argument("--most", type=int, default=150, help="vehicles of each scene (%(default)s)")
-    options = parser.parse_args()
-    cv2.setNumThreads(1)
-    measurer = Measurer(options.measurer)
-    if options.command == "rendered":
-        print(rendered(measurer, options.bank, options.count, options.seed))
-        return
-    if options.command == "hidden":
-        print(hidden(measurer, options.bank, options.data, options.count, options.seed))
-        return
-    if options.command == "shadows":
-        print(shadows(measurer, options.scenes, options.seed))
-        return
-    if options.command == "kinds":
-        print(kinds(measurer, options.data, options.of, options.longest))
-        return
-    if options.command == "paint":
-        print(paint(measurer, [reference_scene(text) for text in options.found], options.most))
-        return
+    return parser.parse_args()
+
+
+def told(measurer: Measurer, options: argparse.Namespace) -> str:
+    """What the command of the options finds out, as text."""
+    command = options.command
+    if command == "rendered":
+        return rendered(measurer, options.bank, options.count, options.seed)
+    if command == "hidden":
+        return hidden(measurer, options.bank, options.data, options.count, options.seed)
+    if command == "shadows":
+        return shadows(measurer, options.scenes, options.seed)
+    if command == "kinds":
+        return kinds(measurer, options.data, options.of, options.longest)
+    if command == "paint":
+        return paint(measurer, [reference_scene(text) for text in options.found], options.most)
     detector = Detector(options.detector, threads=1)
-    if options.command == "changes":
+    if command == "hand":
+        return hand(measurer, detector, options.data, options.of)
+    if command == "changes":
         scenes = [reference_scene(text) for text in options.found]
-        print(changes(measurer, None if options.alone else detector, scenes, options.most))
-    elif options.command == "hand":
-        print(hand(measurer, detector, options.data, options.of))
-    else:
-        known = []
-        for text in options.known:
-            scene, gsd, fleet = text.rsplit(":", 2)
-            known.append((reference_scene(scene), float(gsd), fleet))
-        print(places(measurer, detector, known, options.most))
+        return changes(measurer, None if options.alone else detector, scenes, options.most)
+    return places(measurer, detector, [known_scene(text) for text in options.known], options.most)
+
+
+def known_scene(text: str) -> tuple[Scene, float, str]:
+    """A scene, its metres per pixel and the code of its fleet, from ``NAME=PICTURES:BOXES.json:GSD:FLEET``."""
+    scene, gsd, fleet = text.rsplit(":", 2)
+    return reference_scene(scene), float(gsd), fleet
+
+
+def main() -> None:
+    options = arguments()
+    cv2.setNumThreads(1)
+    print(told(Measurer(options.measurer), options))
 
 
 if __name__ == "__main__":

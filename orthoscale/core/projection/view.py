@@ -10,6 +10,13 @@ import numpy as np
 LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
 
 
+def even_pixels(size: Sequence[int], counts: Sequence[int]) -> np.ndarray:
+    """(N, 2) points evenly spread over a picture of `size` px, from the middle of its first pixel to that of its last;
+    `counts` of them across and down."""
+    x, y = (np.linspace(0.5, side - 0.5, n) for side, n in zip(size, counts, strict=True))
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+
+
 @dataclass(frozen=True)
 class Views:
     """The geometry of N boxes, each in the coordinates of the camera that sees it.
