@@ -1,13 +1,14 @@
 """Ground control marked in several pictures: OpenDroneMap's gcp_list.txt, and where rays meet."""
 
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 import pytest
 from support.control import PLACES, marked, shows
 from support.flights import UNIT
 
-from orthoscale.actions.control import DISTANCE_HINT, read_control
+from orthoscale.actions.control import DISTANCE_HINT, _by_file_name, _in_model, read_control
 from orthoscale.core.control import meeting_point, widest_angle
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.control_points import read_control_file
@@ -70,6 +71,13 @@ def test_pictures_that_the_model_lacks_are_left_out_and_points_without_any_are_t
     assert (
         found.says == "ground control (4 points, 4 of them from intersecting rays, 1 more in no picture of the model)"
     )
+
+
+def test_marks_in_pictures_of_another_machine():
+    """A model's absolute names of Windows, and marked letters as macOS writes them."""
+    named = _by_file_name(["C:\\a\\1.jpg", "C:\\b\\1.jpg", normalize("NFC", "b/ä.jpg")])
+    assert _in_model(["1.jpg@3,4", normalize("NFD", "ä.jpg@5,6")], named) == (normalize("NFC", "b/ä.jpg@5,6"),)
+    assert _in_model(["C:\\b\\1.jpg@3,4"], named) == ("C:\\b\\1.jpg@3,4",)
 
 
 def test_marks_near_the_horizon_do_not_count_beside_others(flight, tmp_path):

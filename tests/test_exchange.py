@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -167,6 +168,55 @@ def test_many_pictures_keep_their_names(tmp_path):
     with pytest.raises(InputError, match="several pictures are called '2'"):
         (tmp_path / "2.txt").write_text("2 0.9 0 0 4 0 4 2 0 2\n")
         load(tmp_path / "2.txt", Frames())
+
+
+class Flight:
+    """Frames of 640 x 480 px in a folder, with a marked letter in their names."""
+
+    claimed, pictures, path, folder = None, (), Path("model"), "flight"
+
+    def __init__(self, start="flight/"):
+        self.picture_names = tuple(f"{start}{normalize('NFC', 'ä')} {k}.jpg" for k in range(3))
+        self.notes = []
+
+    def image_size(self, name):
+        return 640, 480
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+@pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.geojson", "d.gpkg"])
+def test_names_whose_marked_letters_are_two_characters_are_the_same(tmp_path, name, form):
+    """macOS writes them so, and they look alike: "none of its 3 pictures is in the model"."""
+    flight, theirs = Flight(), Flight()
+    theirs.picture_names = tuple(normalize(form, picture) for picture in flight.picture_names)
+    save(Detections(dict.fromkeys(theirs.picture_names, BOXES), 1.0, RULER, (0.7, 0.5), ""), tmp_path / name, theirs)
+    assert sorted(load(tmp_path / name, flight).boxes) == list(flight.picture_names) and not flight.notes
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_names_that_differ_only_by_their_form_stay_apart(tmp_path, form):
+    flight = Flight()
+    flight.picture_names = tuple(normalize(each, "ä.jpg") for each in ("NFC", "NFD"))
+    boxes = {normalize(form, "ä.jpg"): BOXES}
+    save(Detections(boxes, 1.0, RULER, (0.7, 0.5), ""), tmp_path / "d.json", flight)
+    assert list(load(tmp_path / "d.json", flight).boxes) == list(boxes)
+
+
+@pytest.mark.parametrize("start", ["flight/", "C:\\flight\\"])
+@pytest.mark.parametrize("change", [str, lambda n: Path(n).name, lambda n: n[:-4], lambda n: Path(n).stem])
+def test_sizes_in_coco_are_compared_whatever_name_a_picture_has(tmp_path, start, change):
+    """With names without the folder or the ending they were not: a scale twice too large was given."""
+    flight = Flight(start)
+    save(Detections({flight.picture_names[0]: BOXES}, 1.0, RULER, (0.7, 0.5), ""), tmp_path / "d.coco.json", flight)
+    text = json.loads((tmp_path / "d.coco.json").read_text())
+    (image,) = text["images"]
+    image["file_name"] = change(image["file_name"].replace("\\", "/"))
+    (tmp_path / "d.coco.json").write_text(json.dumps(text))
+    assert list(load(tmp_path / "d.coco.json", flight).boxes) == [flight.picture_names[0]]
+    image["width"], image["height"] = 320, 240
+    (tmp_path / "d.coco.json").write_text(json.dumps(text))
+    with pytest.raises(InputError, match="has 320 x 240 px, the source's 640 x 480"):
+        load(tmp_path / "d.coco.json", flight)
 
 
 def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tmp_path):

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.source import Located, OffGround, Source
 from ..errors import InputError, UsageError, shown
 from ..formats.control_points import CONTROL_HINT, in_line, read_control_file
+from ..formats.names import composed
 from ..formats.points import number
 from ..formats.reading import reason
 
@@ -107,8 +108,13 @@ def _by_file_name(names: Iterable[str]) -> dict[str, list[str]]:
     """The names of a model's pictures, which may include folders, by their bare file names."""
     named: dict[str, list[str]] = {}
     for name in names:
-        named.setdefault(Path(name).name, []).append(name)
+        named.setdefault(_bare(name), []).append(name)
     return named
+
+
+def _bare(name: str) -> str:
+    """The name of a picture without its folders, which may be separated by backslashes."""
+    return composed(PureWindowsPath(name).name)
 
 
 def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
@@ -117,7 +123,7 @@ def _in_model(marks: Sequence[str], named: Mapping[str, Sequence[str]]) -> tuple
     found: list[str] = []
     for mark in marks:
         picture, _, place = mark.rpartition("@")
-        names = named.get(Path(picture).name, ())
+        names = named.get(_bare(picture), ())
         if len(names) > 1:
             names = [name for name in names if name == picture]
         found.extend(f"{name}@{place}" for name in names)

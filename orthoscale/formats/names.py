@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,12 @@ def in_utf8(text: str) -> str:
 def out_of_utf8(text: str) -> str:
     """The name from which `in_utf8` made `text`; a name that contained such escapes itself cannot be told apart."""
     return ESCAPED.sub(lambda match: chr(int(match[1], 16)), text)
+
+
+def composed(text: str) -> str:
+    """`text` with each marked letter (such as an umlaut) as one character: macOS writes them as two in names of files,
+    which look the same."""
+    return unicodedata.normalize("NFC", text)
 
 
 def each_text(values: Any, change: Callable[[str], str]) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import posixpath
-import unicodedata
 from collections.abc import Sequence
 from contextlib import suppress
 from mimetypes import guess_type
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 from ..core.remarks import CAUTION, INFO, Remark
 from ..errors import InputError
 from ..formats.geometry.beside import file_in
+from ..formats.names import composed
 from ..system.paths import homes
 from .picture_file import PictureFile
 
@@ -104,7 +104,7 @@ def _not_found(folder: Path, given: Path | None, places: Sequence[Path], first: 
         return InputError(f"{what}, and it lies in {start}", f"Give --images {start}.")
     if (near := _of_nearly_that_name(places, first)) is not None:
         hint = "Name the frames as the model does: folders, endings, upper and lower case matter."
-        if _composed(near.as_posix()).endswith(_composed(PureWindowsPath(first).as_posix())):
+        if composed(near.as_posix()).endswith(composed(PureWindowsPath(first).as_posix())):
             hint = (
                 "They look alike, but one has its marked letters (such as umlauts) as two characters each, as "
                 "macOS writes them: name the frames anew, or as the model does."
@@ -149,9 +149,5 @@ def _inside(folder: Path) -> list[Path]:
     return []
 
 
-def _composed(text: str) -> str:
-    return unicodedata.normalize("NFC", text)  # macOS writes letters with marks as two
-
-
 def _bare(text: str) -> str:
-    return _composed(text).casefold()
+    return composed(text).casefold()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +16,12 @@ from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
-from ..names import in_utf8, json_in_utf8
+from ..names import composed, in_utf8, json_in_utf8
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
 from .classes import plain
-from .items import Item, boxes_by_picture, other_name
+from .items import Item, boxes_by_picture, other_name, sizes_of
 from .own import WHAT, note, noted, of_document, save_detections
 
 Each = TypeVar("Each")
@@ -115,7 +116,7 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
     found = noted(boxes, kept, f"boxes of {path.name}", str(path))
     if not found.objects:
         found = replace(found, objects=_objects(items, own_sizes, path))
-    _check_sizes(sizes, own_sizes, path)
+    _check_sizes(sizes_of(sizes, source.picture_names), own_sizes, path)
     return _checked(found, source, path, own_sizes, other)
 
 
@@ -166,11 +167,11 @@ def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
     return {name: source.image_size(name) for name in source.picture_names}
 
 
-def _check_sizes(told: Mapping[str, tuple[int, int]], sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
-    for name, size in sizes.items():
-        if told.get(name, size) not in (size, (0, 0)):
+def _check_sizes(told: Sequence[tuple[str, tuple[int, int]]], sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
+    for name, (width, height) in told:
+        if (width, height) not in (sizes[name], (0, 0)):
             raise InputError(
-                f"{path}: its {name} has {told[name][0]} x {told[name][1]} px, the source's {size[0]} x {size[1]}",
+                f"{path}: its {name} has {width} x {height} px, the source's {sizes[name][0]} x {sizes[name][1]}",
                 "Give detections made on this picture at this size; boxes of another size measure another scale.",
             )
 
@@ -189,8 +190,10 @@ def _checked(
     Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
     """
     known = source.picture_names
-    names = {in_utf8(name): name for name in known}
-    found = _renamed(found, lambda name: names.get(name, name))
+    exact = {in_utf8(name): name for name in known}
+    found = _renamed(found, lambda name: exact.get(name, name))
+    alike = _by_composed([name for name in known if name not in found.boxes])
+    found = _renamed(found, lambda name: name if name in sizes else alike.get(composed(name), name))
     strangers = [name for name in found.boxes if name not in sizes]
     if strangers and len(strangers) == len(found.boxes):
         of = f"none of its {len(strangers)} pictures is" if len(strangers) > 1 else "its only picture is not"
@@ -229,6 +232,13 @@ def _checked(
         text = f"{path}: {copies} of its {len(found)} boxes repeat the vehicle of another and were left out"
         source.notes.append(Remark(INFO, text))
     return replace(found, boxes=single, planar=planar)
+
+
+def _by_composed(names: Sequence[str]) -> dict[str, str]:
+    """`names` by their `composed` form; without those that differ only by it."""
+    forms = [composed(name) for name in names]
+    count = Counter(forms)
+    return {form: name for form, name in zip(forms, names, strict=True) if count[form] == 1}
 
 
 def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:

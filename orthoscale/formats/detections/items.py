@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
+from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
 import cv2
@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.boxes import KINDS, Boxes
 from ...errors import InputError, shown
-from ..names import in_utf8
+from ..names import composed, in_utf8
 from .classes import is_vehicle
 
 FARTHEST_PX = 1e7  # largest plausible coordinate of a vertex [px]
@@ -87,7 +87,8 @@ def boxes_by_picture(
     """Boxes of the vehicles among `items`, by the source's names of its `pictures`.
 
     sizes : (width, height) of the pictures, for items that are `relative` to them. A picture's name in an item may lack
-    its suffix or its folder, as in DOTA and COCO, if it is still unique; names unknown to the source stay as they are.
+    its suffix or its folder, as in DOTA and COCO, if it is still unique, and have its letters `composed` or not; names
+    unknown to the source stay as they are.
     Raises InputError if no item is a vehicle, or the picture of an item is ambiguous; `origin` names the file. That the
     boxes are plausible is checked by `files.load`.
     """
@@ -121,7 +122,14 @@ def other_name(named: Collection[str | None], pictures: Sequence[str]) -> str | 
     if len(pictures) != 1 or len(set(named)) != 1:
         return None
     (name,) = set(named)
-    return None if name is None or name in _names(pictures) else name
+    return None if name is None or _known(name, _names(pictures))[0] else name
+
+
+def sizes_of(told: Mapping[str, tuple[int, int]], pictures: Sequence[str]) -> list[tuple[str, tuple[int, int]]]:
+    """The source's name and the size of each of `pictures` in a file that has these by its own names (`told`)."""
+    names = _names(pictures)
+    found = [(_known(name, names)[1], size) for name, size in told.items()]
+    return [(picture, size) for picture, size in found if picture is not None]
 
 
 def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:
@@ -137,26 +145,32 @@ def short_name(picture: str, pictures: Sequence[str]) -> str:
 
 
 def _names(pictures: Sequence[str]) -> dict[str, str | None]:
-    """The picture meant by each name that files may use for it; None where it is ambiguous."""
+    """The picture meant by each name, `composed`, that files may use for it, with slashes or backslashes between
+    folders; None where it is ambiguous. And by each picture's own name, as it is."""
     names: dict[str, str | None] = {}
     for picture in pictures:
-        path = PurePosixPath(picture)
-        for name in {str(path.with_suffix("")), path.name, path.stem}:
+        path = PureWindowsPath(picture)
+        whole = {picture, path.as_posix(), str(PurePosixPath(picture).with_suffix(""))}
+        for name in {composed(each) for each in (*whole, (path.parent / path.stem).as_posix(), path.name, path.stem)}:
             names[name] = None if name in names else picture
     return {**names, **{in_utf8(p): p for p in pictures}, **{p: p for p in pictures}}
 
 
+def _known(name: str, names: Mapping[str, str | None]) -> tuple[bool, str | None]:
+    """Whether the source has a picture of that name (see `_names`), and which; None where it is ambiguous."""
+    key = name if name in names else composed(name)
+    return key in names, names.get(key)
+
+
 def _resolved(name: str | None, pictures: Sequence[str], names: dict[str, str | None], origin: str) -> str:
-    if name is not None and name in names:
-        picture = names[name]
-        if picture is None:
+    if name is not None:
+        known, picture = _known(name, names)
+        if known and picture is None:
             raise InputError(f"{origin}: several pictures are called {name!r}", "Write their names with the folder.")
-        return picture
-    if name is None and len(pictures) == 1:
+        return picture or name  # or one that the source does not have
+    if len(pictures) == 1:
         return pictures[0]
-    if name is None:
-        raise InputError(
-            f"{origin}: a box names no picture, but there are {len(pictures)} pictures",
-            f"Name the picture of each, {pictures[0]!r} for instance.",
-        )
-    return name  # a picture that the source does not have
+    raise InputError(
+        f"{origin}: a box names no picture, but there are {len(pictures)} pictures",
+        f"Name the picture of each, {pictures[0]!r} for instance.",
+    )
