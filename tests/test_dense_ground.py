@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.blocks import Conditions, fly
+from support.models import make_model
 
 from orthoscale.errors import InputError
 from orthoscale.fleets import load_fleet
-from orthoscale.sources.dense_cloud import DenseCloud, cloud_at, find_cloud
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.dense_cloud import DenseCloud, check_depth_maps, cloud_at, find_cloud
 
 HEADER = "ply\nformat binary_little_endian 1.0\nelement vertex {}\n" + "".join(
     f"property float {axis}\n" for axis in "xyz"
@@ -158,3 +160,56 @@ def test_depth_maps_are_points_on_the_ground(flight, tmp_path):
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(InputError, match="depth map of 60 x 45"):
         list(cloud.blocks())
+
+
+@pytest.mark.parametrize("form", ["geometric", "photometric"])
+def test_depth_maps_of_another_run_are_refused(tmp_path, form):
+    """Its unit differs; they were multiplied by the model's scale, and said to be in metres."""
+    model, _ = make_model()
+    (tmp_path / "dense/sparse").mkdir(parents=True)
+    (maps := tmp_path / "dense/stereo/depth_maps").mkdir(parents=True)
+    check_depth_maps(tmp_path / "dense")  # there are none
+    model.write(tmp_path / "dense/sparse")
+
+    def write(factor: float, start: str = "") -> None:
+        for image in model.images.values():
+            depth = np.zeros((240, 320), "<f4")
+            for seen in image.points2D:
+                if seen.has_point3D():
+                    place = image.cam_from_world() * model.points3D[seen.point3D_id].xyz
+                    column, row = model.cameras[image.camera_id].img_from_cam(place) / 2
+                    if 0 <= column < 320 and 0 <= row < 240:
+                        depth[int(row), int(column)] = factor * place[2]
+            (maps / f"{start}{image.name}.{form}.bin").write_bytes(b"320&240&1&" + depth.tobytes())
+
+    write(1.04)
+    check_depth_maps(tmp_path / "dense")
+    write(1.0, "former_")  # images that the model has no more
+    check_depth_maps(tmp_path / "dense")
+    write(1.2)
+    with pytest.raises(InputError, match=r"show its points at 1.2 times the distance"):
+        check_depth_maps(tmp_path / "dense")
+    for image in model.images.values():
+        (maps / f"{image.name}.{form}.bin").unlink()
+    with pytest.raises(InputError, match=r"former_00.png.* no image of .*sparse has this name"):
+        check_depth_maps(tmp_path / "dense")
+
+
+def test_a_cloud_of_another_run_is_copied_with_a_caution(tmp_path):
+    model, _ = make_model()
+    folder = tmp_path / "model"
+    for place in (folder / "sparse", folder / "dense/sparse", tmp_path / "out", tmp_path / "again"):
+        place.mkdir(parents=True)
+    model.write(folder / "sparse")
+    model.write(folder / "dense/sparse")
+    points = np.array([point.xyz for point in model.points3D.values()])
+    told = []
+    for factor, out in ((1.0, "out"), (3.0, "again")):
+        cloud = DenseCloud(write_cloud(folder / "dense/fused.ply", factor * points))
+        source = ColmapSource.open(folder, need_images=False).on_cloud(cloud)
+        assert source.camera_height > 0
+        source.write_dense(tmp_path / out, 2.0)
+        told.append(any("may be of another model" in note.text for note in source.notes))
+        left_out = any("is left out" in note.text for note in source.notes)
+        assert told[-1] == left_out
+    assert told[-1]

@@ -158,6 +158,11 @@ def test_one_model_is_no_workspace(tmp_path):
 @pytest.mark.slow
 def test_dense_comes_along(work, tmp_path):
     dense_workspace(work / "dense" / "0")
+    image = next(iter((model := pycolmap.Reconstruction(str(work / "sparse/0"))).images.values()))
+    places = [model.points3D[seen.point3D_id].xyz for seen in image.points2D if seen.has_point3D()]
+    depth = np.full((2, 3), np.median([(image.cam_from_world() * place)[2] for place in places]), "<f4")
+    own = work / f"dense/0/stereo/depth_maps/{image.name}.geometric.bin"  # shows that they are of this model
+    own.write_bytes(b"3&2&1&" + depth.tobytes())
     result = fix(work / "sparse/0", tmp_path / "out", dense=True, **OPTIONS)
     depth = np.frombuffer((tmp_path / "out/dense/stereo/depth_maps/a.jpg.geometric.bin").read_bytes()[6:], "<f4")
     assert depth[0] == pytest.approx(result.scale.value, rel=1e-6)

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import find_dense, sparse_folders
 from .cameras import cameras_of
+from .dense_cloud import check_depth_maps
 
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 
@@ -20,7 +21,7 @@ def dense_of(folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Cal
 
     cameras : (3,) centre of each, by the name of its image [model units]. camera_height : gives their height over the
     ground [model units], which takes a while to find. Raises UsageError if there is no workspace, InputError for one
-    without cameras, or whose cameras stand elsewhere because it was made from another model.
+    without cameras, or whose cameras or depth maps show that it was made from another model.
     """
     dense = find_dense(folder)
     if dense is None:
@@ -45,4 +46,5 @@ def dense_of(folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Cal
                 f"{sparse} is not the undistorted model of {folder}: its cameras stand elsewhere",
                 "It may be from another run or in metres already: run image_undistorter again.",
             )
+    check_depth_maps(dense)
     return dense

@@ -20,6 +20,9 @@ from .colmap_check import open_model
 from .colmap_write import read_model
 
 MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any better
+# Depth maps, and depths of points in them, that are compared with the model; and by what factor their median may
+# differ. Another run has a unit of its own, which is so near by chance only.
+MAPS_COMPARED, DEPTHS_COMPARED, DEPTHS_APART = 5, 50, 1.1
 FUSED_CLOUD = "fused.ply"
 # Where other programs write clouds in the coordinates of their reconstruction, relative to the folder of its file.
 CLOUD_PLACES = (
@@ -124,6 +127,48 @@ def _depth_maps(workspace: Path) -> list[Path]:
     return []
 
 
+def _image_of(path: Path, workspace: Path) -> str:
+    """The name of the image whose depth map `path` is."""
+    name = path.relative_to(workspace / "stereo" / "depth_maps").as_posix()
+    return next(name.removesuffix(kind) for kind in DEPTH_KINDS if name.endswith(kind))
+
+
+def _of_no_image(path: Path, sparse: Path) -> InputError:
+    return InputError(f"{path}: no image of {sparse} has this name", "Run image_undistorter again.")
+
+
+def check_depth_maps(workspace: Path) -> None:
+    """Raise InputError for depth maps that are of another model than the undistorted one in their `workspace`, such as
+    those of a former run: none has an image there, or the model's points lie at other depths."""
+    maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
+    if not maps or not sparse:
+        return
+    model = read_model(sparse[0], open_model(sparse[0]).format)
+    images = {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    known = [path for path in maps if _image_of(path, workspace) in images]
+    if not known:
+        raise _of_no_image(maps[0], sparse[0])
+    ratios = []
+    for k in np.linspace(0, len(known) - 1, min(MAPS_COMPARED, len(known))).astype(int):
+        depth, image = read_depth_map(known[k]), images[_image_of(known[k], workspace)]
+        points = [model.point3D(seen.point3D_id).xyz for seen in image.points2D if seen.has_point3D()]
+        pose, camera = image.cam_from_world(), model.camera(image.camera_id)
+        local = np.array(points).reshape(-1, 3) @ pose.rotation.matrix().T + pose.translation
+        local = local[local[:, 2] > 0]
+        pixels = np.asarray(camera.img_from_cam(local), float).reshape(-1, 2) * depth.shape[::-1]
+        column, row = (pixels / (camera.width, camera.height)).T
+        inside = (column >= 0) & (column < depth.shape[1]) & (row >= 0) & (row < depth.shape[0])
+        z = depth[row[inside].astype(int), column[inside].astype(int)]
+        ratios.append((z / local[inside, 2])[np.isfinite(z) & (z > 0)])
+    apart = np.concatenate(ratios)
+    if len(apart) >= DEPTHS_COMPARED and abs(np.log(np.median(apart))) > np.log(DEPTHS_APART):
+        raise InputError(
+            f"{workspace}: its depth maps are not of the model {sparse[0]}: they show its points at "
+            f"{np.median(apart):.3g} times the distance",
+            "They may be of a former run: run patch_match_stereo and stereo_fusion again, or remove --dense.",
+        )
+
+
 def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Iterator[np.ndarray]:
     """Blocks (N, 3) of the points of depth maps [model units, world], by the undistorted cameras of their workspace."""
     maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
@@ -134,12 +179,9 @@ def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Ite
         )
     model = read_model(sparse[0], open_model(sparse[0]).format)
     images = {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
-    top = workspace / "stereo" / "depth_maps"
     for k, path in enumerate(maps):
-        name = path.relative_to(top).as_posix()
-        name = next(name.removesuffix(kind) for kind in DEPTH_KINDS if name.endswith(kind))
-        if name not in images:
-            raise InputError(f"{path}: no image of {sparse[0]} has this name", "Run image_undistorter again.")
+        if (name := _image_of(path, workspace)) not in images:
+            raise _of_no_image(path, sparse[0])
         depth, camera = read_depth_map(path), model.camera(images[name].camera_id)
         step = max(1, int(np.ceil(np.sqrt(depth.size * len(maps) / MOST_DENSE_POINTS))))
         row, column = (axis.ravel() for axis in np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step])
