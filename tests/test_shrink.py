@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.detect.tiles import FunctionDetector
 from orthoscale.fleets import load_fleet
 from training.shrink import fit_shrink, known_vehicles
 
@@ -45,8 +46,8 @@ def test_known_vehicles_are_in_metres_and_boxes_in_detector_pixels(tmp_path):
         rows = [[b["cx"] * scale, b["cy"] * scale, 84 * scale, 37 * scale, 0] for b in boxes]
         return Boxes(np.array(rows), np.full(len(rows), 0.9))
 
-    vehicles, found, gsd = known_vehicles(path, detect, best_length=40, score=0.5)
+    vehicles, found, gsd = known_vehicles(path, FunctionDetector(detect), best_length=40, score=0.5)
     assert len(vehicles) == 17 and vehicles == pytest.approx(np.tile([4.0, 1.8], (17, 1)))
     assert gsd == pytest.approx(0.1) and found == pytest.approx(np.tile([42.0, 18.5], (17, 1)), rel=0.03)
     with pytest.raises(ValueError, match="0 of 17 vehicles found"):
-        known_vehicles(path, lambda image: Boxes.empty(), best_length=40, score=0.5)
+        known_vehicles(path, FunctionDetector(lambda image: Boxes.empty()), best_length=40, score=0.5)
