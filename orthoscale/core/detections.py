@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from .boxes import Boxes
 from .ruler import Ruler
@@ -12,6 +13,8 @@ from .ruler import Ruler
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
 UNKNOWN_HEIGHT = (0.7, 0.6)  # their effective heights: those of a DOTA-trained YOLO-OBB on oblique frames [m]
 UNCONFIRMED = "low confidence, or detected at only one resolution"  # why `Detections.doubtful` do not count
+
+Each = TypeVar("Each")
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,20 @@ class Detections:
         for name, more in boxes.items():
             aside[name] = Boxes.concatenate([aside.get(name, Boxes.empty()), more])
         return replace(self, set_aside={**self.set_aside, why: aside}) if aside else self
+
+    def only_in(self, pictures: Container[str]) -> Detections:
+        """The same, restricted to these `pictures`, except for `planar`."""
+
+        def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
+            return {name: each for name, each in some.items() if name in pictures}
+
+        return replace(
+            self,
+            boxes=of_these(self.boxes),
+            doubtful=of_these(self.doubtful),
+            set_aside={why: of_these(some) for why, some in self.set_aside.items()},
+            objects=of_these(self.objects),
+        )
 
     @property
     def assumed(self) -> tuple[str, ...]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..boxes import Boxes
 from ..detections import Detections
 from ..normal import Z90
 from ..pooling.agreement import CONTRADICTION
@@ -123,18 +122,7 @@ def _listed(said: Sequence[str]) -> str:
     return "; ".join(said[:PARTS_NAMED]) + (f"; and {more} more parts" if more > 0 else "")
 
 
-def found_in(images: Collection[str], found: Detections) -> Detections:
-    """Those of the detections `found` that lie in the frames named `images`, without ground pictures: these were warped
+def found_in(images: Container[str], found: Detections) -> Detections:
+    """The vehicles of `found` in the frames named `images`; those in ground pictures are left out, which were warped
     onto the ground of the whole reconstruction."""
-
-    def kept(boxes: dict[str, Boxes]) -> dict[str, Boxes]:
-        return {name: some for name, some in boxes.items() if name in images}
-
-    return replace(
-        found,
-        boxes=kept(found.boxes),
-        doubtful=kept(found.doubtful),
-        set_aside={why: kept(boxes) for why, boxes in found.set_aside.items()},
-        objects={},
-        planar=None,
-    )
+    return replace(found.only_in(images), objects={}, planar=None)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from . import coco, dota, geo, table
 from .classes import plain
 from .items import Item, boxes_by_picture, other_name, sizes_of
 from .own import WHAT, note, noted, of_document, save_detections
-
-Each = TypeVar("Each")
 
 FORMATS = {
     ".json": "orthoscale's own (COCO too, when reading)",
@@ -204,7 +202,7 @@ def _checked(
     if strangers:
         note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
         source.notes.append(Remark(CAUTION, note))
-    found = _only(found, sizes)
+    found = found.only_in(sizes)
     _check_boxes(found, sizes, path)
     for name, size in sizes.items():
         boxes = found.boxes.get(name, Boxes.empty())
@@ -249,21 +247,6 @@ def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
     objects = {name(picture): kinds for picture, kinds in found.objects.items()}
     planar = None if found.planar is None else _renamed(found.planar, name)
     return replace(found, boxes=boxes, doubtful=doubtful, set_aside=set_aside, objects=objects, planar=planar)
-
-
-def _only(found: Detections, pictures: Container[str]) -> Detections:
-    """`found` restricted to these `pictures`."""
-
-    def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
-        return {name: each for name, each in some.items() if name in pictures}
-
-    return replace(
-        found,
-        boxes=of_these(found.boxes),
-        doubtful=of_these(found.doubtful),
-        set_aside={why: of_these(some) for why, some in found.set_aside.items()},
-        objects=of_these(found.objects),
-    )
 
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
