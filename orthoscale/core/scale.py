@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from .brief import Brief
 from .evidence import Evidence, Support
 from .normal import Z90
 from .remarks import Remark, by_severity
-from .verdicts import CHECK_LIMIT, verdict, worst
+from .verdicts import CHECK_LIMIT, UNUSABLE, verdict, worst
 
 PER_PIXEL = "m/px"  # the unit of a plan's scale: its ground sampling distance
 
@@ -114,6 +114,14 @@ class Scale(Brief):
         """The same with these `remarks` added, and a verdict no better than `at_best`."""
         word = self.verdict if at_best is None else worst(self.verdict, at_best)
         return replace(self, verdict=word, remarks=by_severity((*self.remarks, *remarks)))
+
+    def contradicted_by(self, others: Sequence[Scale]) -> Scale:
+        """The same value where `others` contradict it and nobody knows which is right: ``unusable``, and not averaged,
+        with an interval that covers those of all."""
+        ends = [end for scale in (self, *others) for end in scale.interval90]
+        low, high = min(ends), max(ends)
+        spread = max(float(np.log(high / low)) / (2 * Z90), self.relative_sd)
+        return replace(self, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE)
 
     def text(self, *values: float) -> str:
         """`values` in the scale's unit, by default its own value, to two significant digits of the uncertainty; below 1

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from ..formats.reading import absent
 from ..system.paths import homes
 from .colmap_check import open_model
 from .colmap_write import read_model
+
+if TYPE_CHECKING:
+    import pycolmap
 
 MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any better
 # Depth maps, and depths of points in them, that are compared with the model; and by what factor their median may
@@ -127,6 +131,12 @@ def _depth_maps(workspace: Path) -> list[Path]:
     return []
 
 
+def _undistorted(sparse: Path) -> tuple[pycolmap.Reconstruction, dict[str, pycolmap.Image]]:
+    """The model in the folder `sparse`, and its registered images by name. Raises InputError."""
+    model = read_model(sparse, open_model(sparse).format)
+    return model, {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+
+
 def _image_of(path: Path, workspace: Path) -> str:
     """The name of the image whose depth map `path` is."""
     name = path.relative_to(workspace / "stereo" / "depth_maps").as_posix()
@@ -143,8 +153,7 @@ def check_depth_maps(workspace: Path) -> None:
     maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
     if not maps or not sparse:
         return
-    model = read_model(sparse[0], open_model(sparse[0]).format)
-    images = {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    model, images = _undistorted(sparse[0])
     known = [path for path in maps if _image_of(path, workspace) in images]
     if not known:
         raise _of_no_image(maps[0], sparse[0])
@@ -177,8 +186,7 @@ def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Ite
             f"{workspace} has depth maps, but not the undistorted model in sparse/ that they belong to",
             "Run image_undistorter again.",
         )
-    model = read_model(sparse[0], open_model(sparse[0]).format)
-    images = {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    model, images = _undistorted(sparse[0])
     for k, path in enumerate(maps):
         if (name := _image_of(path, workspace)) not in images:
             raise _of_no_image(path, sparse[0])

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..detections import Detections
-from ..normal import Z90
 from ..pooling.agreement import CONTRADICTION
 from ..remarks import CAUTION, REFUSAL, Remark, amount
 from ..scale import Scale
-from ..verdicts import AT_BEST_DOUBTED, UNUSABLE
+from ..verdicts import AT_BEST_DOUBTED
 from .surface import LOTS_SD
 
 NOT_SHARED = ("sampling", "geometry")  # parts of the uncertainty that two parts of a model do not share
@@ -93,9 +92,7 @@ class Parts:
         in parts without a scale of their own, nothing says that `scale` holds there: the verdict is AT_BEST_DOUBTED.
         """
         if self.contradict:
-            ends = [end for each in (scale, *(part.scale for part in self.known)) for end in each.interval90]
-            spread = max(float(np.log(max(ends) / min(ends))) / (2 * Z90), scale.relative_sd)
-            wide = replace(scale, interval90=(min(ends), max(ends)), parts={"conflict": spread}, verdict=UNUSABLE)
+            wide = scale.contradicted_by([part.scale for part in self.known])
             return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT))
         without = sum(map(len, self.unknown))
         if without < FEW_IMAGES * (without + sum(len(part.images) for part in self.known)):

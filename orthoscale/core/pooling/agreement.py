@@ -11,7 +11,7 @@ from ..evidence import Support
 from ..normal import Z90, median_sd
 from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
-from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
+from ..verdicts import CHECK_LIMIT, verdict
 
 CONTRADICTION = 2.6  # sigmas above which two measurements of one scale contradict each other; by chance in 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty that two measurements of one model do not share
@@ -177,12 +177,7 @@ def _one_alone(agreement: Agreement, name: str) -> Scale:
     they are not averaged, and the interval covers both, as with other evidence (`core.evidence`)."""
     stands = agreement.scales[name]
     stands = replace(stands, checks=stands.checks | _values(agreement), remarks=_named(agreement.scales, name))
-    if stands.conflict:
-        return stands
-    ends = [scale.interval90 for scale in agreement.scales.values()]
-    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
-    spread = max(float(np.log(high / low)) / (2 * Z90), stands.relative_sd)
-    return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE)
+    return stands if stands.conflict else stands.contradicted_by(list(agreement.scales.values()))
 
 
 def _values(agreement: Agreement) -> dict[str, float]:
