@@ -81,7 +81,6 @@ def _looked_for(
 def _sampling(source: Source, fleet: Fleet) -> Sampling:
     """Functions that give the sampling part of the uncertainty after a part of the sweep of `source`."""
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
-    plan, posed = source.plan, source.posed
 
     def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
         def sampling(found: Detections) -> float:
@@ -93,12 +92,10 @@ def _sampling(source: Source, fleet: Fleet) -> Sampling:
 
         return sampling
 
-    if plan is not None:
-        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
-    if posed is None:
-        return Sampling()
-    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
-    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
+    if source.plan is not None:
+        return Sampling(by(lambda found: PlanGeometry.of(source, found)))
+    in_frames = by(lambda found: FramesGeometry.of(source, found, one, Method()))
+    return Sampling(in_frames, by(lambda found: SweepGeometry.of(source, found)))
 
 
 def effort_of(request: EstimateRequest) -> Effort:

@@ -267,10 +267,10 @@ def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
     sparse points alone where vehicles are too few."""
     if source.posed is not None:
         with suppress(TooLittleEvidence):
-            return FramesGeometry.of(source.posed, found, fleet, Method()).footing
+            return FramesGeometry.of(source, found, fleet, Method()).footing
         with suppress(TooLittleEvidence):
             if found.planar is not None:
-                return SweepGeometry.of(source.posed, found.planar).footing
+                return SweepGeometry.of(source, found.planar).footing
     return BY_POINTS
 
 

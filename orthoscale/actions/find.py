@@ -69,7 +69,7 @@ def find_in(source: Source, mode: str | None, search: VehicleSearch) -> BoxesAnd
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
     if source.posed is not None:
-        return find_in_model(source.posed, mode, search)
+        return find_in_model(source, mode, search)
     return search.vehicles(source.pictures, search.sampling.in_pictures)
 
 
@@ -175,7 +175,7 @@ def measured_anew(
     if len(found):
         found = remeasured(source.pictures, found, measurer, effort, progress, MOST_IN_FRAMES)
     if planar is not None:
-        plans = _plans(source.posed, False)
+        plans = _plans(source, False)
         planar = remeasured(plans, planar, measurer, effort, _named(progress, "from above"))
     return replace(found, planar=planar)
 

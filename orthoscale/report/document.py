@@ -129,7 +129,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         },
         "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
-        "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
+        "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
         "seconds": round(of.seconds, 2),
