@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,36 +30,28 @@ from ..requests import EstimateRequest
 from .find import Sampling, VehicleSearch, find_in, measured_anew
 from .opening import Opened
 
-if TYPE_CHECKING:
-    from ..detect.zoom import ZoomChoice
-
 log = logging.getLogger(__name__)
 
 
-def boxes_of(
-    asked: Opened, request: EstimateRequest, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
+def boxes_of(asked: Opened, request: EstimateRequest, progress: Progress | None) -> Detections:
     """The boxes to measure, from a file or by a detector, with the ruler that belongs to them.
 
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
-    choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, request.alone)
     else:
-        found, choice = _looked_for(asked, request, progress)
+        found = _looked_for(asked, request, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
         found = asked.calibration.applied(found, Path(str(request.calibration)))
     if asked.source.plan is not None:  # the views of a model calibrate the ruler
         found = replace(found, notes=(*found.notes, *found.assumed))
-    return found, choice
+    return found
 
 
-def _looked_for(
-    asked: Opened, request: EstimateRequest, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
+def _looked_for(asked: Opened, request: EstimateRequest, progress: Progress | None) -> Detections:
     """The vehicles found by a detector. Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees; the last
     two name the input."""
     source, fleet = asked.source, asked.fleet
@@ -68,14 +59,14 @@ def _looked_for(
     zoom = user_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
-        found, choice = find_in(source, request.wanted_mode, search)
+        found = find_in(source, request.wanted_mode, search)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
         ruler = (found.zoom, found.ruler.noise)
         found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
-    return replace(found, notes=(*found.notes, *network.notes)), choice
+    return replace(found, notes=(*found.notes, *network.notes))
 
 
 def _sampling(source: Source, fleet: Fleet) -> Sampling:

@@ -136,10 +136,10 @@ def measured(
         own=asked.own,
     )
     wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
-    found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
+    found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
     try:
         try:
-            found, choice = boxes_of(asked, request, progress)
+            found = boxes_of(asked, request, progress)
             if on_boxes is not None:
                 on_boxes(found, source)
             answer = _of_vehicles(asked, found, method, request, wanted)
@@ -157,7 +157,7 @@ def measured(
     found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), anchors, match)
+    return Result(source, fleet, found, seconds, measurement, answer.method, request.settings(), anchors, match)
 
 
 def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidence:

@@ -104,7 +104,7 @@ def _detected(
         calibration.require_of(detector.name, detector.sha256, Path(str(how.calibration)))
     zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
-        found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
+        found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
