@@ -320,8 +320,8 @@ class PhotoGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """How much the sizes would change if attitude or lens were one sigma off."""
-        return Findings(shared=seen.systematic.shared)
+        """Nothing."""
+        return Findings()
 
 
 def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
@@ -332,7 +332,7 @@ def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoSc
     except TooLittleEvidence as error:
         hint = error.hint or "Give photos that show more vehicles, or pool those of one altitude with --together."
         raise TooLittleEvidence(error.message, hint) from error
-    return _assembled(photos[0], got.scale, got.findings.shared, got.boxes, got.picture, 1.0)
+    return _assembled(photos[0], got.scale, got.pooled.systematic.shared, got.boxes, got.picture, 1.0)
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
