@@ -45,7 +45,7 @@ def boxes_of(asked: Opened, request: EstimateRequest, progress: Progress | None)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
-        found = asked.calibration.applied(found, Path(str(request.calibration)))
+        found = asked.calibration.applied(found)
     if asked.source.plan is not None:  # the views of a model calibrate the ruler
         found = replace(found, notes=(*found.notes, *found.assumed))
     return found
@@ -102,7 +102,7 @@ def detector_of(asked: Opened, request: EstimateRequest) -> Detector:
     threads = effort_of(request).threads_each if path is None else 0
     detector = Detector(path, request.decoder, request.vehicle_classes, threads, _passes(asked.source, request))
     if asked.calibration is not None:
-        asked.calibration.require_of(detector.name, detector.sha256, Path(str(request.calibration)))
+        asked.calibration.require_of(detector.name, detector.sha256)
     return detector
 
 
