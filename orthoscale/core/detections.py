@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any
 
 from .boxes import Boxes
 from .confirmed import AS_LIKELY
@@ -15,8 +15,6 @@ UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.
 UNKNOWN_HEIGHT = (0.7, 0.6)  # their effective heights: those of a DOTA-trained YOLO-OBB on oblique frames [m]
 UNCONFIRMED = "low confidence, or detected at only one resolution"  # why `Detections.doubtful` do not count
 NEAR_AND_FAR = 4.0  # lengths within this factor may be those of the same vehicles, in frames from nearer and farther
-
-Each = TypeVar("Each")
 
 
 @dataclass(frozen=True)
@@ -130,16 +128,21 @@ class Detections:
 
     def only_in(self, pictures: Container[str]) -> Detections:
         """The same, restricted to these `pictures`, except for `planar`."""
+        return self._each(lambda some: {name: each for name, each in some.items() if name in pictures})
 
-        def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
-            return {name: each for name, each in some.items() if name in pictures}
+    def renamed(self, new: Callable[[str], str]) -> Detections:
+        """The same with the name `new(name)` for each picture, in `planar` too."""
+        planar = None if self.planar is None else self.planar.renamed(new)
+        return replace(self._each(lambda some: {new(name): each for name, each in some.items()}), planar=planar)
 
+    def _each(self, change: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Detections:
+        """The same with `change` applied to all that is kept by picture name, except in `planar`."""
         return replace(
             self,
-            boxes=of_these(self.boxes),
-            doubtful=of_these(self.doubtful),
-            set_aside={why: of_these(some) for why, some in self.set_aside.items()},
-            objects=of_these(self.objects),
+            boxes=change(self.boxes),
+            doubtful=change(self.doubtful),
+            set_aside={why: change(some) for why, some in self.set_aside.items()},
+            objects=change(self.objects),
         )
 
     @property
