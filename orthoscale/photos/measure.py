@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import Tags, read_tags
 from ..sources.undistort import undistort
+
+if TYPE_CHECKING:
+    from typing import Unpack
 
 # One sigma of pitch and roll [rad]: as a gimbal reports them (it trembles by some tenths of a degree, and its zero is
 # off by as much), as given by a user, and of a nadir that is only assumed. Assumptions.
@@ -112,6 +115,18 @@ class Photo:
         return replace(self, lens=replace(self.lens, camera=camera))
 
 
+class GivenCamera(TypedDict, total=False):
+    """What a user says of a photo's camera, instead of its tags: keywords of `open_photo`.
+
+    lens_file : calibration of the lens. focal_px : focal length [px]. pitch, roll : of the camera [deg].
+    """
+
+    lens_file: Path | None
+    focal_px: float | None
+    pitch: float | None
+    roll: float | None
+
+
 def open_photo(
     path: Path,
     name: str | None = None,
@@ -158,10 +173,10 @@ def open_photo(
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
 
 
-def open_sound_photo(path: Path, name: str | None = None, **told: Any) -> Photo:
+def open_sound_photo(path: Path, name: str | None = None, **given: Unpack[GivenCamera]) -> Photo:
     """`open_photo`, which also reads some pixels, lest one damaged photo among many ends the search for vehicles.
     Raises InputError for a damaged one, too."""
-    photo = open_photo(path, name, **told)
+    photo = open_photo(path, name, **given)
     photo.picture.read(0, 0, 1, 1, 1, 1)
     return photo
 
