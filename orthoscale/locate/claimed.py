@@ -13,7 +13,7 @@ from ..core.normal import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.looking import Looking, boxes_of
-from ..photos.measure import GivenCamera, Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from ..photos.measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from ..sources.lens import lens_of
 from ..sources.tags import read_tags
 from .level import LevelledPhoto
@@ -34,7 +34,7 @@ class ClaimedScale:
     photo's focal length is known; without it, the altitude is not. notes : on the fleet and on the vehicles' boxes."""
 
     photo: Photo
-    gsd: Measure
+    gsd: Interval90
     by: str
     measured: PhotoScale | None = None
     focal_known: bool = True
@@ -64,7 +64,7 @@ def told_scale(path: Path, name: str, gsd: float, **lens: Unpack[GivenCamera]) -
     """The photo at `path` with a given `gsd` [m/px]. Within NADIR_WITHIN of nadir the GSD alone determines the ground,
     so the focal length may be missing. Raises InputError, UsageError.
     """
-    told, tags = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
+    told, tags = Interval90.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
     if lens.get("lens_file") is None and lens.get("focal_px") is None:
         try:
             lens_of(tags)

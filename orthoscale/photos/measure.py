@@ -192,7 +192,7 @@ def _roll_beside_told_pitch(tags: Tags) -> float:
 
 
 @dataclass(frozen=True)
-class Measure:
+class Interval90:
     """A value with its 90 % interval."""
 
     value: float
@@ -200,7 +200,7 @@ class Measure:
     high: float
 
     @classmethod
-    def log_normal(cls, value: float, sd: float) -> Measure:
+    def log_normal(cls, value: float, sd: float) -> Interval90:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(float(value), float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd)))
 
@@ -208,8 +208,8 @@ class Measure:
         places = decimals((self.high - self.low) / 2)
         return f"{self.value:.{places}f} ({self.low:.{places}f} to {self.high:.{places}f})"
 
-    def __mul__(self, factor: float) -> Measure:
-        return Measure(self.value * factor, self.low * factor, self.high * factor)
+    def __mul__(self, factor: float) -> Interval90:
+        return Interval90(self.value * factor, self.low * factor, self.high * factor)
 
 
 @dataclass(frozen=True)
@@ -226,9 +226,9 @@ class PhotoScale:
 
     photo: Photo
     scale: Scale
-    altitude: Measure
-    gsd: Measure
-    footprint: tuple[Measure, Measure]
+    altitude: Interval90
+    gsd: Interval90
+    footprint: tuple[Interval90, Interval90]
     boxes: Boxes = field(repr=False)
     picture: np.ndarray = field(repr=False)
     overlap: float = 1.0
@@ -374,9 +374,9 @@ def _assembled(
     GSD; so these two parts of the error are added with their signs before squaring."""
     own = {name: -float(np.dot(scale.weights, s)) for name, s in shifts.items()}  # of the log scale
 
-    def following(value: float, name: str, extra: float) -> Measure:
+    def following(value: float, name: str, extra: float) -> Interval90:
         sd = np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2)
-        return Measure(float(value), *scale.interval_of(value, float(sd)))
+        return Interval90(float(value), *scale.interval_of(value, float(sd)))
 
     above = scale.value * photo.lens.focal_px
     altitude = following(above, "focal", np.log1p(photo.lens.sd))

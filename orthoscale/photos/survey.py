@@ -20,7 +20,7 @@ from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
 from .looking import Looking, boxes_of
-from .measure import GivenCamera, Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from .measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def compared(outcomes: Sequence[PhotoOutcome], depths: Depths, found: Detections
     refused: list[InputError] = []
     for outcome in outcomes:
         if outcome.photo is not None:
-            by_vehicles: Measure | None = outcome.measured.altitude if outcome.measured else None
+            by_vehicles: Interval90 | None = outcome.measured.altitude if outcome.measured else None
             try:
                 boxes = found.boxes.get(outcome.name, Boxes.empty())
                 outcome = replace(outcome, depth=depths.altitude(outcome.photo, boxes, by_vehicles))
