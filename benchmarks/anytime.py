@@ -60,7 +60,7 @@ class Raster:
         plan, (picture,) = source.plan, source.pictures
         assert plan is not None, "an orthophoto"
         detector = Detector(threads=1, passes=Passes.CONFIRMED)  # as orthophotos are swept
-        every, _ = find_vehicles([picture], detector, zoom, effort=Effort(exhaustive=True))
+        every = find_vehicles([picture], detector, zoom, effort=Effort(exhaustive=True))
         jobs = [(picture, tile) for tile in tiles(picture, every.zoom)]
         key = cache_key([picture], detector, every.zoom)
         assert key is not None

@@ -178,7 +178,7 @@ def anytime(source: RasterSource, workers: int) -> Callable[[], int]:
 
     def run() -> int:
         effort = Effort(workers=workers, cache=False)
-        found, _ = find_vehicles([source], detector, 1.0, effort=effort, sampling=sampling)
+        found = find_vehicles([source], detector, 1.0, effort=effort, sampling=sampling)
         print(f"{len(found.swept.tiles)} of {found.swept.total} tiles", file=sys.stderr)
         return len(found)
 

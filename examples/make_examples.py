@@ -44,7 +44,7 @@ def make_sheffield(data: Path) -> None:
     folder, original = HERE / "sheffield", data / "reconstructions" / "sheffield"
     small = reduced(pycolmap.Reconstruction(str(original / "sparse")))
     source = ColmapSource.open(original)
-    found, _ = find_in_model(source, None, VehicleSearch(Detector()))
+    found = find_in_model(source, None, VehicleSearch(Detector()))
     found = measured_anew(source, found, EstimateRequest(), Effort())
     truth = json.loads((original / "truth.json").read_text())
     shutil.rmtree(folder, ignore_errors=True)  # only now, so that the example stays if data are missing

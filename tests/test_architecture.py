@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "sources": "core countries errors fleets formats system",
     "photos": "core detect errors formats option requests sources system",
     "locate": "core detect errors formats photos sources",
-    "report": "core detect errors formats requests sources system version",
+    "report": "core errors formats requests sources system version",
     "actions": "anchors core detect errors fleets formats locate option photos report requests sources system",
     "": "actions core errors fleets formats photos report system version",  # the package: its public names
     "layout": "core errors formats sources version",

@@ -8,8 +8,8 @@ import pytest
 import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.confirmed import seldom_confirmed, share_confirmed
+from orthoscale.core.detections import ZoomChoice
 from orthoscale.detect import tie_break
-from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho
 

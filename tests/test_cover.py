@@ -78,7 +78,7 @@ COVER = Cover(np.arange(80)[::-1], 40)
 
 def looked_at(frames, sampling, cover=COVER, **effort):
     effort = Effort(cache=False, workers=1, **effort)
-    found, _ = find_vehicles(frames, RectangleDetector(), 1.0, None, effort, sampling, cover)
+    found = find_vehicles(frames, RectangleDetector(), 1.0, None, effort, sampling, cover)
     names = [name for name, _ in found.swept.tiles]
     assert all(names.count(name) == 2 for name in names), "each frame has two tiles, and is looked at as a whole"
     return sorted(set(names)), found
@@ -111,7 +111,7 @@ def test_a_model_of_many_frames_may_stop_and_one_of_few_may_not(flight, monkeypa
 
     def find(pictures, detector, zoom, progress, effort, sampling=None, cover=None):
         asked.append((len(pictures), sampling, cover))
-        return Detections({}, 1.0, None, (0, 0), ""), None
+        return Detections({}, 1.0, None, (0, 0), "")
 
     monkeypatch.setattr(find_module, "find_vehicles", find)
     monkeypatch.setattr(find_module, "FEW_FRAMES", few)

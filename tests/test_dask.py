@@ -39,7 +39,7 @@ def cluster():
 
 
 def swept(raster, **effort):
-    return find_vehicles([raster], zoom=0.7, effort=Effort(cache=False, **effort))[0]
+    return find_vehicles([raster], zoom=0.7, effort=Effort(cache=False, **effort))
 
 
 @pytest.mark.slow

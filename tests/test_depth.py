@@ -18,7 +18,7 @@ from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.depth.ground import DepthMap, depth_altitude
 from orthoscale.photos.depth.maps import Depths
 from orthoscale.photos.depth.rules import RULES, rule_of
-from orthoscale.photos.measure import Measure, open_photo
+from orthoscale.photos.measure import Interval90, open_photo
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import VISLOC_FOCAL, write_csv
 
@@ -134,7 +134,7 @@ def test_a_depth_with_a_shift_is_refused_where_the_ground_shows_it(folder, shift
 
 def test_another_unit_is_refused_by_what_the_vehicles_say(folder):
     photo, boxes = photo_of(folder, 0), boxes_of(folder, 0)
-    by_vehicles = Measure(70.0, 65.0, 75.0)
+    by_vehicles = Interval90(70.0, 65.0, 75.0)
     in_feet = DepthMap(exact(folder, 0) / 0.3048, "z", "the map")
     assert depth_altitude(photo, in_feet, boxes, by_vehicles).altitude == pytest.approx(229.7, rel=GROUND)
     in_mm = replace(in_feet, metres=exact(folder, 0) * 1000)

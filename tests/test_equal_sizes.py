@@ -7,13 +7,12 @@ import pytest
 from support.drawings import Drawing, RectangleDetector
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import UNCONFIRMED
+from orthoscale.core.detections import UNCONFIRMED, ZoomChoice
 from orthoscale.core.equal_sizes import all_alike, more_of_the_same
 from orthoscale.core.measuring.in_view import looked_at
 from orthoscale.core.measuring.measure import doubts
 from orthoscale.detect import zoom
 from orthoscale.detect.find import WHY_EQUAL, Effort, find_vehicles
-from orthoscale.detect.zoom import ZoomChoice
 
 
 def rows(rng, columns, lines, length, scatter, at=(0.0, 0.0), gap=1.3):
@@ -83,7 +82,7 @@ def test_equal_things_that_both_passes_find_are_not_counted_as_found_by_one():
     rng = np.random.default_rng(6)
     panels, cars = rows(rng, 20, 4, 30.0, 0.012, at=(40, 40)), rows(rng, 12, 2, 45.0, 0.06, at=(60, 500), gap=1.5)
     picture = Drawing(700, 800, Boxes.concatenate([panels, cars]))
-    found, _ = find_vehicles([picture], RectangleDetector(), 1.0, effort=Effort(workers=1, cache=False))
+    found = find_vehicles([picture], RectangleDetector(), 1.0, effort=Effort(workers=1, cache=False))
     assert len(found) == len(cars) and found.unconfirmed == 0
     assert len(found.set_aside[WHY_EQUAL]["drawing"]) == len(panels)
     assert found.notes == (f"{len(panels)} boxes do not count: {WHY_EQUAL}",)

@@ -168,7 +168,7 @@ def test_the_sweep_leaves_out_tiles_that_show_nothing(exhaustive):
     picture = Mosaic(BLOCK)
     effort = Effort(workers=1, cache=False, exhaustive=exhaustive)
     detector = Cars(picture)
-    found, _ = find_vehicles([picture], detector, 1.0, effort=effort, sampling=lambda found: np.inf)
+    found = find_vehicles([picture], detector, 1.0, effort=effort, sampling=lambda found: np.inf)
     assert len(found.boxes["mosaic"]) > 140
     assert found.swept.total == len(found.swept.tiles)
     assert (found.swept.total > 90) == exhaustive

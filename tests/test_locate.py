@@ -41,7 +41,7 @@ from orthoscale.locate.retrieval import Embedding
 from orthoscale.locate.terminal import summary
 from orthoscale.locate.verify import PlaneSimilarity, agreeing, needed
 from orthoscale.photos.looking import Looking
-from orthoscale.photos.measure import Measure, open_photo
+from orthoscale.photos.measure import Interval90, open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
 from orthoscale.sources.tags import Tags
@@ -427,7 +427,7 @@ def test_the_scale_of_the_map_is_beside_the_claimed_one(flight, tmp_path):
 
 def test_opinions_that_agree_are_pooled():
     photo = SimpleNamespace()
-    claimed = ClaimedScale(photo, Measure.log_normal(0.2, 0.05), BY_WORD)
+    claimed = ClaimedScale(photo, Interval90.log_normal(0.2, 0.05), BY_WORD)
     got = opinions(claimed, 1.04, 0.01)
     assert not got.contradict and got.together is not None
     weights = np.array([0.05, 0.01]) ** -2.0

@@ -20,10 +20,10 @@ from test_dense_ground import write_cloud
 
 import orthoscale
 from orthoscale.actions.finished import is_finished
+from orthoscale.core.detections import ZoomChoice
 from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
-from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.schemas.report import Report, ReportInput
 from orthoscale.report import charts, files, pictures, places, wording
@@ -691,12 +691,13 @@ def test_a_scale_of_no_use_says_what_was_not_tried_yet(tmp_path, named):
     settings = {"fleet": "DE"} if named else {}
     for searched in (None, ZoomChoice(4.0, 7.0, 2.0, None, 0.0, [])):
         with pytest.raises(TooLittleEvidence) as caught:
-            replace(result, measured=useless, settings=settings, zoom_choice=searched).require_useful()
+            found = replace(result.detections, zoom_choice=searched)
+            replace(result, measured=useless, settings=settings, detections=found).require_useful()
         assert ("--fleet" in caught.value.hint) == (not named)
         assert ("--gsd-hint METRES_PER_PIXEL" in caught.value.hint) == (searched is not None)
         assert caught.value.hint[0].isupper() and "`orthoscale fix --force`" in caught.value.hint  # `estimate` has none
     claimed = SimpleNamespace(gsd_m=0.0967, usable=True)
     source = SimpleNamespace(path="a.tif", plan=True, notes=[], claimed=claimed)
     with pytest.raises(TooLittleEvidence) as caught:
-        replace(result, source=source, measured=useless, zoom_choice=searched).require_useful()
+        replace(result, source=source, measured=useless, detections=found).require_useful()
     assert "--gsd-hint 0.0967, as its georeferencing claims" in caught.value.hint

@@ -36,7 +36,7 @@ def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight
     folder, turn = flight
     source = ColmapSource.open(folder)
     measured = measured if mode is None else measured.modes[mode]
-    result = Result(source, FLEET, found, None, 0.0, measured)
+    result = Result(source, FLEET, found, 0.0, measured)
     report = json.loads(json.dumps(result.to_dict()))
     said = np.array([[v["length"], v["width"]] for v in report["vehicles"]])
     assert said == pytest.approx(np.stack([result.vehicles["length"], result.vehicles["width"]], -1), rel=1e-12)

@@ -70,10 +70,8 @@ def on_map(
     evidence = Evidence(BY_MAP, metres, found.scale_sd, says)
     note = _found_on(name, candidate)
     if source.plan is None:
-        posed = source.posed
-        assert posed is not None, "it is one of the two"
-        return OnMap((_with_ground(evidence, posed, seen.picture.name, footing),), (note,), name=name)
-    size = source.plan.width, source.plan.height
+        return OnMap((_with_ground(evidence, source, seen.picture.name, footing),), (note,), name=name)
+    size = source.width, source.height
     return OnMap((evidence,), (note,), satellite.crs, _affine(seen, found, satellite), metres, size, name)
 
 
@@ -111,11 +109,9 @@ def _pictures(source: Source) -> Sequence[SeenPlan]:
     from ..locate.ground import SeenPlan
 
     if source.plan is not None:
-        claimed = source.plan.claimed
-        return [SeenPlan(source.plan, square_pixels(claimed.aspect), claimed.mirrored)]
-    posed: PosedSet | None = source.posed
-    assert posed is not None, "it is one of the two"
-    views = [view for view in posed.ground_pictures if view.frame is not None]
+        claimed = source.claimed
+        return [SeenPlan(source, square_pixels(claimed.aspect), claimed.mirrored)]
+    views = [view for view in source.ground_pictures if view.frame is not None]
     views.sort(key=lambda view: view.width * view.height * view.unit_per_pixel**2, reverse=True)
     return [SeenPlan(view, view.unit_per_pixel) for view in views[:VIEWS_TRIED]]
 

@@ -93,7 +93,7 @@ def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted
     views = _views(source) if wanted.kinds else {}
     if not views:
         return FoundAnchors()
-    if source.plan is not None and source.plan.claimed.aspect != 1:
+    if source.plan is not None and source.claimed.aspect != 1:
         return FoundAnchors(notes=("no anchors were looked for: pixels are not square",))
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
     finest = min(gsd for _, gsd in pictures)
@@ -114,8 +114,8 @@ def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted
         None if wanted.progress is None else partial(wanted.progress, "Looking for anchors"),
     )
     if source.posed is not None:
-        ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
-        votes = votes_in_model(found, ground, source.posed.centre, 4 * sd, wanted.footing)
+        ground: dict[str, GroundView] = {view.name: view for view in source.ground_pictures}
+        votes = votes_in_model(found, ground, source.centre, 4 * sd, wanted.footing)
     else:
         votes = votes_in_plan(found, 4 * sd)
     votes = [vote.of(wanted.own.get(vote.anchor.kind)) for vote in votes]
@@ -170,9 +170,8 @@ def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVo
 def _views(source: Source) -> dict[str, tuple[Picture, float]]:
     """The pictures that show the ground from above, each with its source units per pixel, by name."""
     if source.plan is not None:
-        return {source.plan.name: (source.plan, 1.0)}
-    assert source.posed is not None, "it is one of the two"
-    return {view.name: (view, view.unit_per_pixel) for view in source.posed.ground_pictures if view.frame is not None}
+        return {source.name: (source, 1.0)}
+    return {view.name: (view, view.unit_per_pixel) for view in source.ground_pictures if view.frame is not None}
 
 
 def _of_words(text: str) -> list[tuple[str, Standard]]:

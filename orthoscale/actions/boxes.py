@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,36 +30,28 @@ from ..requests import EstimateRequest
 from .find import Sampling, VehicleSearch, find_in, measured_anew
 from .opening import Opened
 
-if TYPE_CHECKING:
-    from ..detect.zoom import ZoomChoice
-
 log = logging.getLogger(__name__)
 
 
-def boxes_of(
-    asked: Opened, request: EstimateRequest, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
+def boxes_of(asked: Opened, request: EstimateRequest, progress: Progress | None) -> Detections:
     """The boxes to measure, from a file or by a detector, with the ruler that belongs to them.
 
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
-    choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, request.alone)
     else:
-        found, choice = _looked_for(asked, request, progress)
+        found = _looked_for(asked, request, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
-        found = asked.calibration.applied(found, Path(str(request.calibration)))
+        found = asked.calibration.applied(found)
     if asked.source.plan is not None:  # the views of a model calibrate the ruler
         found = replace(found, notes=(*found.notes, *found.assumed))
-    return found, choice
+    return found
 
 
-def _looked_for(
-    asked: Opened, request: EstimateRequest, progress: Progress | None
-) -> tuple[Detections, ZoomChoice | None]:
+def _looked_for(asked: Opened, request: EstimateRequest, progress: Progress | None) -> Detections:
     """The vehicles found by a detector. Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees; the last
     two name the input."""
     source, fleet = asked.source, asked.fleet
@@ -68,20 +59,19 @@ def _looked_for(
     zoom = user_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
-        found, choice = find_in(source, request.wanted_mode, search)
+        found = find_in(source, request.wanted_mode, search)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
         ruler = (found.zoom, found.ruler.noise)
         found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
-    return replace(found, notes=(*found.notes, *network.notes)), choice
+    return replace(found, notes=(*found.notes, *network.notes))
 
 
 def _sampling(source: Source, fleet: Fleet) -> Sampling:
     """Functions that give the sampling part of the uncertainty after a part of the sweep of `source`."""
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
-    plan, posed = source.plan, source.posed
 
     def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
         def sampling(found: Detections) -> float:
@@ -93,12 +83,10 @@ def _sampling(source: Source, fleet: Fleet) -> Sampling:
 
         return sampling
 
-    if plan is not None:
-        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
-    if posed is None:
-        return Sampling()
-    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
-    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
+    if source.plan is not None:
+        return Sampling(by(lambda found: PlanGeometry.of(source, found)))
+    in_frames = by(lambda found: FramesGeometry.of(source, found, one, Method()))
+    return Sampling(in_frames, by(lambda found: SweepGeometry.of(source, found)))
 
 
 def effort_of(request: EstimateRequest) -> Effort:
@@ -114,7 +102,7 @@ def detector_of(asked: Opened, request: EstimateRequest) -> Detector:
     threads = effort_of(request).threads_each if path is None else 0
     detector = Detector(path, request.decoder, request.vehicle_classes, threads, _passes(asked.source, request))
     if asked.calibration is not None:
-        asked.calibration.require_of(detector.name, detector.sha256, Path(str(request.calibration)))
+        asked.calibration.require_of(detector.name, detector.sha256)
     return detector
 
 

@@ -89,7 +89,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
             if metres and len(known) != len(metres[0]):
                 raise ValueError(f"{len(control.metres)} coordinates in metres, but {len(metres[0])} above")
             if len(known) == 2 and source.posed is not None:
-                point, level_sd = point.from_above(source.posed), LEVEL_SD
+                point, level_sd = point.from_above(source), LEVEL_SD
             points.append(point)
             metres.append(known)
     how = []

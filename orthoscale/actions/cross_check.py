@@ -100,7 +100,7 @@ def plan_and_posed(ortho: Source, model: Source) -> tuple[Plan, PosedSet]:
     """The plan of `ortho` and the posed set of `model`. Raises UsageError if they are not one of each."""
     if ortho.plan is None or model.posed is None:
         raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
-    return ortho.plan, model.posed
+    return ortho, model
 
 
 def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | None:

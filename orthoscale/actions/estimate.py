@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -101,12 +101,13 @@ def noted(result: Result) -> Result:
 
 @dataclass(frozen=True)
 class _Answer:
-    """A scale, and what entered it besides the boxes.
+    """A scale, and what entered it.
 
-    method : with all evidence. anchors : those found in the pictures. on_map : where the source lies on the map of
-    `--against`.
+    found : the boxes, none if no vehicles were found. method : with all evidence. anchors : those found in the
+    pictures. on_map : where the source lies on the map of `--against`.
     """
 
+    found: Detections
     measurement: Measurement
     method: Method
     anchors: FoundAnchors
@@ -136,17 +137,8 @@ def measured(
         own=asked.own,
     )
     wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
-    found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
-        try:
-            found, choice = boxes_of(asked, request, progress)
-            if on_boxes is not None:
-                on_boxes(found, source)
-            answer = _of_vehicles(asked, found, method, request, wanted)
-        except TooLittleEvidence as error:
-            if method.vehicles_only:
-                raise
-            answer = _without_vehicles(asked, doubts(found), method, request, wanted, error)
+        answer = _answer(asked, method, request, wanted, on_boxes)
     except TooLittleEvidence as error:
         raise _with_cautions(error, source) from error
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
@@ -154,10 +146,33 @@ def measured(
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
     scale = measurement.scale
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
-    found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
+    found = replace(answer.found, notes=(*asked.why, *answer.found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), anchors, match)
+    return Result(source, fleet, found, seconds, measurement, answer.method, request.settings(), anchors, match)
+
+
+def _answer(
+    asked: Opened, method: Method, request: EstimateRequest, wanted: Wanted, on_boxes: OnBoxes | None
+) -> _Answer:
+    """The scale from the vehicles and all other evidence; where the vehicles give none, from the other evidence alone.
+
+    Raises TooLittleEvidence, UsageError.
+    """
+    found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
+    try:
+        found = boxes_of(asked, request, wanted.progress)
+        if on_boxes is not None:
+            on_boxes(found, asked.source)
+        return _of_vehicles(asked, found, method, request, wanted)
+    except TooLittleEvidence as error:
+        try:
+            answer = None if method.vehicles_only else _without_vehicles(asked, found, method, request, wanted)
+        except TooLittleEvidence as also:
+            raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
+        if answer is None:
+            raise
+        return answer
 
 
 def _with_cautions(error: TooLittleEvidence, source: Source) -> TooLittleEvidence:
@@ -194,32 +209,32 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
         except InputError as error:  # if the boxes came from a file, damaged pictures are noticed only here
             anchors = FoundAnchors(notes=(f"no anchors were looked for: {error.message}",))
     if not anchors.votes:
-        return _Answer(by_map, with_map, anchors, match)
+        return _Answer(found, by_map, with_map, anchors, match)
     with_anchors = replace(with_map, anchors=anchors.votes)
     by_anchors = measure_source(source, found, fleet, with_anchors, request.wanted_mode)
-    return _Answer(by_anchors, with_anchors, anchors, match)
+    return _Answer(found, by_anchors, with_anchors, anchors, match)
 
 
 def _without_vehicles(
-    asked: Opened,
-    lost: Mapping[str, int],
-    method: Method,
-    request: EstimateRequest,
-    wanted: Wanted,
-    error: TooLittleEvidence,
-) -> _Answer:
-    """The scale from the user's evidence, anchors and the map, where vehicles gave none but raised `error`; that is
-    raised again if these do not suffice.
+    asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted
+) -> _Answer | None:
+    """The scale from the user's evidence, anchors and the map, where the boxes `found` give none; None without any.
 
-    lost : number of boxes that are not vehicles, by reason.
+    Raises TooLittleEvidence if these do not suffice.
     """
-    rough, match = _rough(asked.source, request), OnMap()
+    source = asked.source
+    rough, match = _rough(source, request), OnMap()
     if asked.satellite is not None and rough is not None:
-        match = on_map(asked.source, asked.satellite, rough, request.cache, wanted.progress)
+        match = on_map(source, asked.satellite, rough, request.cache, wanted.progress)
         method = replace(method, evidence=(*method.evidence, *match.evidence))
-    anchors = at_any_scale(asked.source, rough, wanted, known=len({e.kind for e in method.evidence}))
+    anchors = at_any_scale(source, rough, wanted, known=len({e.kind for e in method.evidence}))
     method = replace(method, anchors=anchors.votes)
-    return _Answer(_by_the_rest(asked.source, asked.fleet, method, lost, error), method, anchors, match)
+    evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
+    if not evidence:
+        return None
+    dims = 2 if source.plan is not None else 3
+    by_the_rest = measured_without_vehicles(evidence, source.unit, asked.fleet.code, dims, doubts(found))
+    return _Answer(found, by_the_rest, method, anchors, match)
 
 
 def _by_vehicles(
@@ -237,21 +252,6 @@ def _by_vehicles(
         ) from error
 
 
-def _by_the_rest(
-    source: Source, fleet: Fleet, method: Method, lost: Mapping[str, int], error: TooLittleEvidence
-) -> Measurement:
-    """The scale from all other evidence, where vehicles gave none but raised `error`; that is raised again if the other
-    evidence does not suffice either."""
-    evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
-    if not evidence:
-        raise error
-    dims = 2 if source.plan is not None else 3
-    try:
-        return measured_without_vehicles(evidence, source.unit, fleet.code, dims, lost)
-    except TooLittleEvidence as also:
-        raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
-
-
 def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | None:
     """Metres per unit and its relative one-sigma, as the user or the source states it; None where neither does."""
     if request.gsd_hint is not None and source.plan is not None:
@@ -267,10 +267,10 @@ def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
     sparse points alone where vehicles are too few."""
     if source.posed is not None:
         with suppress(TooLittleEvidence):
-            return FramesGeometry.of(source.posed, found, fleet, Method()).footing
+            return FramesGeometry.of(source, found, fleet, Method()).footing
         with suppress(TooLittleEvidence):
             if found.planar is not None:
-                return SweepGeometry.of(source.posed, found.planar).footing
+                return SweepGeometry.of(source, found.planar).footing
     return BY_POINTS
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,12 +21,8 @@ from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..requests import BUILT_IN, EstimateRequest
 
-if TYPE_CHECKING:
-    from ..detect.zoom import ZoomChoice
-
 Spread = Callable[[Detections], float]
 """The sampling part of the uncertainty that follows from what was found so far, infinite for too little."""
-BoxesAndZoom = tuple[Detections, "ZoomChoice | None"]
 
 
 @dataclass(frozen=True)
@@ -58,22 +53,22 @@ class VehicleSearch:
         """The same search, with `where` appended to its progress messages."""
         return replace(self, progress=_named(self.progress, where))
 
-    def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> BoxesAndZoom:
+    def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> Detections:
         """See `find_vehicles`; `spread` is its `sampling`."""
         return find_vehicles(pictures, self.detector, self.zoom, self.progress, self.effort, spread, cover)
 
 
-def find_in(source: Source, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
+def find_in(source: Source, mode: str | None, search: VehicleSearch) -> Detections:
     """The vehicles in `source`. mode : for a posed set, see `find_in_model`.
 
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
     if source.posed is not None:
-        return find_in_model(source.posed, mode, search)
+        return find_in_model(source, mode, search)
     return search.vehicles(source.pictures, search.sampling.in_pictures)
 
 
-def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
+def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> Detections:
     """The vehicles in the frames of `source`, and as `Detections.planar` those in its ground pictures, as `mode` asks.
 
     Of FEW_FRAMES frames or more, only a selection that covers the whole ground is processed (`detect.cover`), if the
@@ -88,30 +83,29 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
         progress = _named(search.progress, "in the frames")
         return find_zoom(source.pictures, search.detector, progress, search.effort, cover).zoom
 
-    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> BoxesAndZoom:
+    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> Detections:
         places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
         return _planar(plans, search, covering(places) if places else None, of_frames)
 
     if mode == PLANAR:
-        from_above, choice = planar(_plans(source, True), search, zoom_of_frames)
-        return replace(from_above, boxes={}, doubtful={}, set_aside={}, planar=from_above), choice
-    found, choice = search.vehicles(source.pictures, search.sampling.in_pictures if cover is not None else None, cover)
+        from_above = planar(_plans(source, True), search, zoom_of_frames)
+        return replace(from_above, boxes={}, doubtful={}, set_aside={}, planar=from_above)
+    found = search.vehicles(source.pictures, search.sampling.in_pictures if cover is not None else None, cover)
     if mode == OBLIQUE:
-        return found, choice
+        return found
     plans = _plans(source, mode == BOTH)
     if not plans:
-        return found, choice
+        return found
     try:
         known = found.zoom  # the same as `zoom_of_frames` would find
-        from_above, _ = planar(plans, search.within("from above"), lambda: known)
+        return replace(found, planar=planar(plans, search.within("from above"), lambda: known))
     except (TooLittleEvidence, EvidenceDisagrees) as error:
-        return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
-    return replace(found, planar=from_above), choice
+        return replace(found, notes=(*found.notes, f"planar sweep: {error.message}"))
 
 
 def _planar(
     plans: Sequence[GroundView], search: VehicleSearch, cover: Cover | None, of_frames: Callable[[], float]
-) -> BoxesAndZoom:
+) -> Detections:
     """The vehicles in ground pictures; the same whether these are searched alone or besides the frames.
 
     The resampling factor is first searched for in these pictures themselves. Where there are few vehicles, a slightly
@@ -126,20 +120,20 @@ def _planar(
 
     failed = None
     try:
-        found, choice = search.vehicles(plans, stop, cover)
+        found = search.vehicles(plans, stop, cover)
         if search.zoom is not None or enough(found):
-            return found, choice
+            return found
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         if search.zoom is not None:
             raise
         failed = error
     with suppress(TooLittleEvidence, EvidenceDisagrees):
-        again, _ = replace(search, zoom=of_frames()).vehicles(plans, stop, cover)
+        again = replace(search, zoom=of_frames()).vehicles(plans, stop, cover)
         if enough(again):
-            return again, None
+            return again
     if failed is not None:
         raise failed
-    return found, choice
+    return found
 
 
 def _plans(source: PosedSet, needed: bool) -> list[GroundView]:
@@ -175,7 +169,7 @@ def measured_anew(
     if len(found):
         found = remeasured(source.pictures, found, measurer, effort, progress, MOST_IN_FRAMES)
     if planar is not None:
-        plans = _plans(source.posed, False)
+        plans = _plans(source, False)
         planar = remeasured(plans, planar, measurer, effort, _named(progress, "from above"))
     return replace(found, planar=planar)
 

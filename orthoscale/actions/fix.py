@@ -153,10 +153,7 @@ def report_paths(out: Path, in_folder: bool, report: str) -> dict[str, Path]:
 
 
 def _writer(source: Source, out: Path, request: FixRequest) -> _PlanWriter | _PosedWriter:
-    if source.plan is not None:
-        return _PlanWriter(source.plan, out, request)
-    assert source.posed is not None, "it is one of the two"
-    return _PosedWriter(source.posed, out, request)
+    return _PosedWriter(source, out, request) if source.plan is None else _PlanWriter(source, out, request)
 
 
 class _PlanWriter:

@@ -73,7 +73,7 @@ class AnchorList:
                 raise UsageError(f"{path.name}: only orthophotos have a layer of anchors", "Write .json or .png.")
             if not told["anchors"]:
                 raise TooLittleEvidence(f"{path.name}: no anchors were found for the layer", "Write .json or .png.")
-            place = self.source.plan.place(self.metres_per_unit, keep_origin=True)
+            place = self.source.place(self.metres_per_unit, keep_origin=True)
             write_anchor_layer(told["anchors"], place, path)
 
 

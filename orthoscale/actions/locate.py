@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from ..locate.outcome import LocateOutcome, document
 from ..locate.register import Known, PlaceFinder, register
 from ..photos.folders import find_photos
 from ..photos.looking import WITH_GSD, Looking
+from ..photos.measure import GivenCamera
 from ..sources.satellite import Satellite
 
 LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
@@ -34,7 +35,8 @@ class LocateRequest:
     prior : "LON,LAT,RADIUS", or "X,Y,RADIUS" in the map's reference system; radius in metres. heading : degrees
     clockwise from north, or "search" for any; None: `Tags.heading`, else any. gsd : average ground sampling distance of
     the photos [m/px], None to measure it by vehicles. method : one of LOCATE_METHODS. embedding, embedding_map :
-    networks for `retrieval`. top : number of candidates listed. cache : keep the map's features. Raises UsageError.
+    networks for `retrieval`. top : number of candidates listed. cache : keep the map's features. lens : what the user
+    says of the camera. Raises UsageError.
     """
 
     prior: str | None = None
@@ -45,7 +47,7 @@ class LocateRequest:
     embedding_map: Path | None = None
     top: int = CANDIDATES_LISTED
     cache: bool = True
-    lens: Mapping[str, Any] = field(default_factory=dict)
+    lens: GivenCamera = field(default_factory=GivenCamera)
     looking: Looking = field(default_factory=Looking)
 
     def __post_init__(self) -> None:

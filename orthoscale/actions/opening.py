@@ -50,7 +50,7 @@ def source_of(
 ) -> Source:
     """The input at `path`, opened as `request` says; a source is returned as it is. progress : for reading its dense
     cloud. Raises InputError, UsageError."""
-    if not isinstance(path, (str, Path)) and hasattr(path, "posed"):
+    if not isinstance(path, (str, Path)) and hasattr(path, "posed"):  # isinstance would read all that a source offers
         return path
     return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
 
@@ -81,7 +81,7 @@ def given_evidence(source: Source, request: EstimateRequest, footing: Footing = 
 
 def _gps(source: Source, request: EstimateRequest) -> GpsScale:
     """The scale from the GPS positions of frames, if there are any and they count."""
-    return source.posed.gps if source.posed is not None and request.counts_gps else GpsScale()
+    return source.gps if source.posed is not None and request.counts_gps else GpsScale()
 
 
 def _satellite(path: str | Path | None) -> Satellite | None:

@@ -65,5 +65,5 @@ def rehearsal(
 
 def _kind(source: Source) -> str:
     if source.plan is not None:
-        return f"an orthophoto of {source.plan.width} x {source.plan.height} px"
+        return f"an orthophoto of {source.width} x {source.height} px"
     return f"a model with {len(source.pictures)} frames"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +23,9 @@ from .options import (
     say,
 )
 from .photo_options import LENS_FLAGS, lens_options
+
+if TYPE_CHECKING:
+    from ..photos.measure import GivenCamera
 
 
 @command(
@@ -63,7 +66,7 @@ def crop(
     gsd: float | None,
     overwrite: bool,
     as_json: bool,
-    lens: dict[str, Any],
+    lens: GivenCamera,
     **looking: Any,
 ) -> None:
     """Cut satellite crops with the footprint of a photo.

@@ -29,7 +29,7 @@ from .photo_options import lens_options
 
 if TYPE_CHECKING:
     from ..core.detections import Detections
-    from ..photos.measure import Photo
+    from ..photos.measure import GivenCamera, Photo
     from ..system.outputs import Outputs
 
 
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 @debug_option
 def photo(
     paths: tuple[Path, ...],
-    lens: dict[str, Any],
+    lens: GivenCamera,
     together: bool,
     save_detections: Path | None,
     outputs: tuple[Path, ...],

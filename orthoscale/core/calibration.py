@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ class Calibration:
     """A detector's ruler as measured at one place and, on request, the sizes of that place's vehicles.
 
     fleet_entry : that place's vehicles as in a fleet file (`Fleet.from_entry`), None if they were not fitted.
-    made_from : the orthophoto, its scale, fleet and counts, for people.
+    made_from : the orthophoto, its scale, fleet and counts, for people. called : in messages: its file.
     """
 
     detector: str
@@ -39,20 +38,19 @@ class Calibration:
     ruler: Ruler
     fleet_entry: Mapping[str, Any] | None
     made_from: Mapping[str, Any]
+    called: str = field(default="the calibration", compare=False)
 
-    def require_of(self, detector: str, sha256: str, path: Path) -> None:
-        """Raise UsageError if this is not a calibration of `detector`, whose file has the hash `sha256`; the message
-        names `path`, the calibration's file."""
+    def require_of(self, detector: str, sha256: str) -> None:
+        """Raise UsageError if this is not a calibration of `detector`, whose file has the hash `sha256`."""
         if sha256 != self.detector_sha256:
             raise UsageError(
-                f"{path} was measured for {self.detector}, not for {detector}",
+                f"{self.called} was measured for {self.detector}, not for {detector}",
                 "Calibrate the detector that is used: orthoscale calibrate ORTHO --detector FILE.",
             )
 
-    def applied(self, found: Detections, path: Path) -> Detections:
-        """`found` with this ruler. Raises UsageError if the boxes are another detector's; the message names `path`, the
-        calibration's file."""
-        self.require_of(found.detector, found.detector_sha256, path)
+    def applied(self, found: Detections) -> Detections:
+        """`found` with this ruler. Raises UsageError if the boxes are another detector's."""
+        self.require_of(found.detector, found.detector_sha256)
         planar = found.planar
         if planar is not None and planar.detector_sha256 == self.detector_sha256:
             planar = replace(planar, ruler=self.ruler)

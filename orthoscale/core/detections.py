@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any
 
 from .boxes import Boxes
+from .confirmed import AS_LIKELY
 from .ruler import Ruler
 
 # For boxes from a file that has no ruler: nobody has measured their margin.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
 UNKNOWN_HEIGHT = (0.7, 0.6)  # their effective heights: those of a DOTA-trained YOLO-OBB on oblique frames [m]
 UNCONFIRMED = "low confidence, or detected at only one resolution"  # why `Detections.doubtful` do not count
-
-Each = TypeVar("Each")
+NEAR_AND_FAR = 4.0  # lengths within this factor may be those of the same vehicles, in frames from nearer and farther
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,34 @@ class Swept:
 
 
 @dataclass(frozen=True)
+class ZoomChoice:
+    """The result of the scale search. zoom : detector pixels per picture pixel. vehicle_px : the vehicles' length in
+    picture pixels, None if not found.
+
+    one_scale : a vehicle has the same length wherever it stands, as in an orthophoto.
+    votes : weighted boxes behind the choice. rival_px : the second best length [px of the picture]. rival : the
+    significance of its votes as a share of the best one's.
+    table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
+    """
+
+    zoom: float
+    vehicle_px: float | None
+    votes: float
+    rival_px: float | None
+    rival: float
+    table: list[tuple[float, int, int, float]] = field(repr=False)
+    one_scale: bool = False
+
+    @property
+    def as_likely(self) -> float | None:
+        """Another length, quite different, that is about as likely [px of the picture]; None if there is none."""
+        if self.vehicle_px is None or self.rival_px is None:
+            return None
+        apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
+        return self.rival_px if self.rival > AS_LIKELY and (self.one_scale or apart > NEAR_AND_FAR) else None
+
+
+@dataclass(frozen=True)
 class Detections:
     """Boxes by picture name [px of the picture], with what is needed to measure with them.
 
@@ -62,6 +90,7 @@ class Detections:
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
     body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     swept : which tiles were processed; None for boxes from a file.
+    zoom_choice : how `zoom` was searched for; None if it was given.
 
     `orthoscale.formats.detections` reads and writes files of them.
     """
@@ -76,6 +105,7 @@ class Detections:
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     planar: Detections | None = None
     swept: Swept | None = None
+    zoom_choice: ZoomChoice | None = None
     body: str = "car"
     notes: tuple[str, ...] = ()
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
@@ -98,16 +128,21 @@ class Detections:
 
     def only_in(self, pictures: Container[str]) -> Detections:
         """The same, restricted to these `pictures`, except for `planar`."""
+        return self._each(lambda some: {name: each for name, each in some.items() if name in pictures})
 
-        def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
-            return {name: each for name, each in some.items() if name in pictures}
+    def renamed(self, new: Callable[[str], str]) -> Detections:
+        """The same with the name `new(name)` for each picture, in `planar` too."""
+        planar = None if self.planar is None else self.planar.renamed(new)
+        return replace(self._each(lambda some: {new(name): each for name, each in some.items()}), planar=planar)
 
+    def _each(self, change: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Detections:
+        """The same with `change` applied to all that is kept by picture name, except in `planar`."""
         return replace(
             self,
-            boxes=of_these(self.boxes),
-            doubtful=of_these(self.doubtful),
-            set_aside={why: of_these(some) for why, some in self.set_aside.items()},
-            objects=of_these(self.objects),
+            boxes=change(self.boxes),
+            doubtful=change(self.doubtful),
+            set_aside={why: change(some) for why, some in self.set_aside.items()},
+            objects=change(self.objects),
         )
 
     @property

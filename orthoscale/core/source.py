@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -111,8 +111,8 @@ class OffGround(ValueError):
     """A pixel to be located does not see the ground, or sees it at too low an elevation to be measured there."""
 
 
-class Source(Pictures, Protocol):
-    """The input whose scale is sought: a `Plan` or a `PosedSet`. One of `plan` and `posed` is itself, the other None.
+class Measurable(Pictures, Protocol):
+    """What both kinds of source offer.
 
     unit : what its scale is measured in, "m/px", "m/model-unit" ...
     metric_already : why the source counts as metric already, as a sentence; empty if it does not.
@@ -122,10 +122,6 @@ class Source(Pictures, Protocol):
     def unit(self) -> str: ...
     @property
     def metric_already(self) -> str: ...
-    @property
-    def plan(self) -> Plan | None: ...
-    @property
-    def posed(self) -> PosedSet | None: ...
     @property
     def files(self) -> Sequence[Path]:
         """The files that it was read from, except its pictures; none of them is ever written to."""
@@ -158,13 +154,17 @@ class Placement(Protocol):
     def said(self) -> str: ...
 
 
-class Plan(Source, Picture, Protocol):
+class Plan(Measurable, Picture, Protocol):
     """An orthophoto: one picture of the ground from straight above, and itself its only `Picture`. Its unit is the
     pixel.
 
-    claimed : the scale by its georeferencing.
+    plan, posed : itself, and None; see `Source`. claimed : the scale by its georeferencing.
     """
 
+    @property
+    def plan(self) -> Plan: ...
+    @property
+    def posed(self) -> None: ...
     @property
     def claimed(self) -> Claim: ...
 
@@ -260,13 +260,18 @@ class GroundView(Picture, Protocol):
         ...
 
 
-class PosedSet(Source, Protocol):
+class PosedSet(Measurable, Protocol):
     """A reconstruction: pictures whose poses are known up to a scale. Lengths are in model units.
 
-    ground : under its cameras. focal : how far its focal length can be trusted. parts : those that share no point with
-    each other, each as a reconstruction of its own, the largest first; none if it holds together.
+    plan, posed : None, and itself; see `Source`. ground : under its cameras. focal : how far its focal length can be
+    trusted. parts : those that share no point with each other, each as a reconstruction of its own, the largest first;
+    none if it holds together.
     """
 
+    @property
+    def plan(self) -> None: ...
+    @property
+    def posed(self) -> PosedSet: ...
     @property
     def ground(self) -> Ground: ...
     @property
@@ -323,3 +328,7 @@ class PosedSet(Source, Protocol):
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
         ...
+
+
+Source: TypeAlias = Plan | PosedSet
+"""The input whose scale is sought. One of its `plan` and `posed` is itself, the other None; that tells which it is."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.boxes import Boxes
 from ..core.confirmed import seldom_confirmed
-from ..core.detections import Detections, Tile
+from ..core.detections import Detections, Tile, ZoomChoice
 from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.remarks import amount
 from ..core.source import Picture
@@ -27,7 +27,7 @@ from .sweep import Found, Stop, sweep_twice
 from .tie_break import settled
 from .tiles import check_number, tiles
 from .workers import cores, visitor, worker_count
-from .zoom import ZoomChoice, search_zoom
+from .zoom import search_zoom
 
 if TYPE_CHECKING:
     from ..core.progress import Progress
@@ -69,7 +69,7 @@ def find_vehicles(
     effort: Effort | None = None,
     sampling: Callable[[Detections], float] | None = None,
     cover: Cover | None = None,
-) -> tuple[Detections, ZoomChoice | None]:
+) -> Detections:
     """Sweep `pictures` at the right zoom (searched for unless given). A vehicle must be detected in both passes.
 
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
@@ -92,7 +92,7 @@ def find_vehicles(
     if len(pictures) == 1:
         # Not for frames: their distances vary, so vehicles have several lengths, and distant ones are seldom confirmed.
         found = _without(found, WHY_SELDOM, seldom_confirmed)
-    return found, choice
+    return replace(found, zoom_choice=choice)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..core.detections import ZoomChoice
 from ..core.source import Picture
 from .detector import Detector
 from .sweep import sweep_twice
 from .workers import visitor
-from .zoom import ZoomChoice, sample, zoom_for
+from .zoom import sample, zoom_for
 
 # The finder is asked if the second best length has at least this share of the best one's significance. Real orthophotos
 # have less (`core.confirmed.AS_LIKELY`), and so need no more time.

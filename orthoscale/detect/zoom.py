@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
-from ..core.confirmed import AS_LIKELY, OF_MISTAKES, share_confirmed
-from ..core.detections import Tile
+from ..core.confirmed import OF_MISTAKES, share_confirmed
+from ..core.detections import Tile, ZoomChoice
 from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import UsageError
@@ -49,7 +49,6 @@ PROMISING = 0.5  # votes that make a length worth another look; one vehicle that
 ENOUGH_VOTES = 14.0  # votes (of 1 at most each) after which no further round is needed
 CLEAR_WINNER = (4.0, 0.35)  # fewer votes are enough, too, if the second best length has less than this share of them
 FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
-NEAR_AND_FAR = 4.0  # lengths within this factor may be those of the same vehicles, in frames from nearer and farther
 # Share of boxes that two zooms agree on: up to the first it is that of mistakes, whose votes get the least weight; from
 # the second on that of vehicles, whose votes count in full.
 AGREED = (OF_MISTAKES, 0.6)
@@ -61,33 +60,6 @@ KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the s
 VOTES_AT_ONCE = 8192  # votes that are counted at once
 MAX_ZOOM = 4.0  # highest that the search chooses: vehicles of 8 px become 32 px long, and more enlarging shows no more
 HIGHEST_ZOOM = 10.0  # highest that a user may ask for: it suits vehicles of 4 px, half of what can be measured
-
-
-@dataclass(frozen=True)
-class ZoomChoice:
-    """zoom : network pixels per picture pixel. vehicle_px : the vehicles' length in picture pixels, None if not found.
-
-    one_scale : a vehicle has the same length wherever it stands, as in an orthophoto.
-    votes : weighted boxes behind the choice. rival_px : the second best length [px of the picture]. rival : the
-    significance of its votes as a share of the best one's.
-    table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
-    """
-
-    zoom: float
-    vehicle_px: float | None
-    votes: float
-    rival_px: float | None
-    rival: float
-    table: list[tuple[float, int, int, float]]
-    one_scale: bool = False
-
-    @property
-    def as_likely(self) -> float | None:
-        """Another length, quite different, that is about as likely [px of the picture]; None if there is none."""
-        if self.vehicle_px is None or self.rival_px is None:
-            return None
-        apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
-        return self.rival_px if self.rival > AS_LIKELY and (self.one_scale or apart > NEAR_AND_FAR) else None
 
 
 def user_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:

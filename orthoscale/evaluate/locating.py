@@ -15,7 +15,7 @@ from ..core.fleet import Fleet
 from ..errors import TooLittleEvidence, UsageError
 from ..locate.claimed import BY_VEHICLES, BY_WORD, ClaimedScale
 from ..locate.outcome import foot
-from ..photos.measure import Measure, measure
+from ..photos.measure import Interval90, measure
 from ..sources.satellite import Satellite
 from ..version import __version__
 from .places import PlacedSample
@@ -61,7 +61,7 @@ def scale_errors(text: str) -> list[float]:
 def true_scale(placed: PlacedSample) -> ClaimedScale:
     """The scale by the true altitude."""
     photo = placed.sample.photo
-    return ClaimedScale(photo, Measure.log_normal(photo.gsd_from(placed.sample.altitude), TRUE_SD), BY_WORD)
+    return ClaimedScale(photo, Interval90.log_normal(photo.gsd_from(placed.sample.altitude), TRUE_SD), BY_WORD)
 
 
 def estimated_scale(placed: PlacedSample, found: Detections, fleet: Fleet) -> ClaimedScale | None:

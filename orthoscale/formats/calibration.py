@@ -43,4 +43,5 @@ def load_calibration(path: str | Path) -> Calibration:
     hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
     text = read_plain(path, "a calibration", hint)
     entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)
-    return Calibration(entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from)
+    known = entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from
+    return Calibration(*known, called=str(path))

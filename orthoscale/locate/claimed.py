@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +13,13 @@ from ..core.normal import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.looking import Looking, boxes_of
-from ..photos.measure import Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from ..photos.measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from ..sources.lens import lens_of
 from ..sources.tags import read_tags
 from .level import LevelledPhoto
+
+if TYPE_CHECKING:
+    from typing import Unpack
 
 GSD_TOLD_SD = 0.03  # relative one sigma of a given GSD: maps and terrain are no better. An assumption.
 NADIR_WITHIN = 1.0  # [deg] off nadir: a wrong focal length moves the foot by 2 % of the altitude at most
@@ -31,7 +34,7 @@ class ClaimedScale:
     photo's focal length is known; without it, the altitude is not. notes : on the fleet and on the vehicles' boxes."""
 
     photo: Photo
-    gsd: Measure
+    gsd: Interval90
     by: str
     measured: PhotoScale | None = None
     focal_known: bool = True
@@ -57,11 +60,11 @@ class ClaimedScale:
         return replace(self, gsd=self.gsd * factor)
 
 
-def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
-    """The photo at `path` with a given `gsd` [m/px]; `lens` as for `open_photo`. Within NADIR_WITHIN of nadir the GSD
-    alone determines the ground, so the focal length may be missing. Raises InputError, UsageError.
+def told_scale(path: Path, name: str, gsd: float, **lens: Unpack[GivenCamera]) -> ClaimedScale:
+    """The photo at `path` with a given `gsd` [m/px]. Within NADIR_WITHIN of nadir the GSD alone determines the ground,
+    so the focal length may be missing. Raises InputError, UsageError.
     """
-    told, tags = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
+    told, tags = Interval90.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
     if lens.get("lens_file") is None and lens.get("focal_px") is None:
         try:
             lens_of(tags)
@@ -74,7 +77,11 @@ def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
 
 
 def claimed_scales(
-    paths: Mapping[str, Path], gsd: float | None, how: Looking, progress: Progress | None = None, **lens: Any
+    paths: Mapping[str, Path],
+    gsd: float | None,
+    how: Looking,
+    progress: Progress | None = None,
+    **lens: Unpack[GivenCamera],
 ) -> dict[str, ClaimedScale | OrthoscaleError]:
     """The scale of each photo of `paths`, or the error why it has none; from `gsd` [m/px] for all, if given.
 

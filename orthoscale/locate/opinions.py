@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.evidence import BY_MAP, CONFLICT_LIMIT, Evidence, combined
 from ..core.pooling.posterior import Posterior
-from ..photos.measure import Measure
+from ..photos.measure import Interval90
 from .claimed import BY_WORD, ClaimedScale
 
 
@@ -20,10 +20,10 @@ class Opinions:
     None where they contradict. sigmas : the distance between them.
     """
 
-    claimed: Measure
+    claimed: Interval90
     by: str
-    matched: Measure
-    together: Measure | None
+    matched: Interval90
+    together: Interval90 | None
     sigmas: float
 
     @property
@@ -47,10 +47,10 @@ def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions
     """The two scales of a photo whose ground is `factor` times as large as claimed, with relative one sigma
     `factor_sd`."""
     value = claimed.gsd.value * factor
-    matched = Measure.log_normal(value, factor_sd)
+    matched = Interval90.log_normal(value, factor_sd)
     before = Posterior.normal(float(np.log(claimed.gsd.value)), claimed.sd)
     evidence = Evidence(BY_MAP, value, factor_sd, "the map's scale, by the match")
     both = combined(before, {claimed.by: claimed.sd}, [evidence])
     sigmas = abs(float(np.log(factor))) / float(np.hypot(claimed.sd, factor_sd))
-    together = None if both.conflict else Measure(*both.summary)
+    together = None if both.conflict else Interval90(*both.summary)
     return Opinions(claimed.gsd, claimed.by, matched, together, sigmas)

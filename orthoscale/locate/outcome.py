@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 
 from ..errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
-from ..photos.measure import Measure
+from ..photos.measure import Interval90
 from ..sources.satellite import Satellite
 from .claimed import ClaimedScale
 from .opinions import Opinions, opinions
@@ -110,21 +110,21 @@ def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
     if claimed is not None:
         source = claimed.photo.lens.source if claimed.focal_known else "not known"
         values |= {"attitude": claimed.photo.attitude, "focal_source": source}
-        values["claimed_scale"] = {"by": claimed.by, **_measure(claimed.gsd)}
+        values["claimed_scale"] = {"by": claimed.by, **_plain(claimed.gsd)}
     if best is not None and claimed is not None and scales is not None and got is not None:
         below, outline = foot(best), footprint(outcome, best)
-        height = Measure.log_normal(claimed.levelled.altitude * best.scale, got.scale_sd)
+        height = Interval90.log_normal(claimed.levelled.altitude * best.scale, got.scale_sd)
         values |= {
             "foot": below.tolist(),
             "foot_crs": satellite.in_crs(below)[0].tolist(),
             "middle": best.middle.tolist(),
             "footprint": None if outline is None else outline.tolist(),
             "heading_deg": round(float(np.degrees(best.heading)), 2) % 360,
-            "altitude_m": _measure(height) if claimed.focal_known else None,
+            "altitude_m": _plain(height) if claimed.focal_known else None,
             "inliers": best.inliers,
             "score": round(best.score, 4),
-            "map_scale": _measure(scales.matched),
-            "together": None if scales.together is None else _measure(scales.together),
+            "map_scale": _plain(scales.matched),
+            "together": None if scales.together is None else _plain(scales.together),
             "agreement": {"sigmas": round(scales.sigmas, 2), "contradict": scales.contradict, "said": scales.said},
         }
         exif = claimed.photo.tags.lon_lat
@@ -164,5 +164,5 @@ def candidate_rows(outcome: LocateOutcome, satellite: Satellite) -> list[dict[st
     return rows
 
 
-def _measure(value: Measure) -> dict[str, float]:
+def _plain(value: Interval90) -> dict[str, float]:
     return {"value": float(value.value), "low": float(value.low), "high": float(value.high)}

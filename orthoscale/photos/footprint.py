@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.progress import Progress
 from ..errors import TooLittleEvidence
 from ..sources.picture_file import PictureFile
 from ..sources.tags import read_tags
 from .looking import Looking, boxes_of
-from .measure import measure, open_photo
+from .measure import GivenCamera, measure, open_photo
+
+if TYPE_CHECKING:
+    from typing import Unpack
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,9 @@ class Footprint:
 
 
 def footprint_of(
-    path: Path, gsd: float | None, how: Looking, progress: Progress | None = None, **lens: Any
+    path: Path, gsd: float | None, how: Looking, progress: Progress | None = None, **lens: Unpack[GivenCamera]
 ) -> Footprint:
-    """The ground of the photo at `path`; `lens` as for `open_photo`.
+    """The ground of the photo at `path`.
 
     Raises InputError, UsageError, TooLittleEvidence.
     """

@@ -84,7 +84,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
     else:
         found = _detected(photos, how, fleet, calibration, progress)
     if calibration is not None:
-        found = calibration.applied(found, Path(str(how.calibration)))
+        found = calibration.applied(found)
     return replace(found, notes=(*found.notes, *found.assumed))
 
 
@@ -101,10 +101,10 @@ def _detected(
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
     if calibration is not None:
-        calibration.require_of(detector.name, detector.sha256, Path(str(how.calibration)))
+        calibration.require_of(detector.name, detector.sha256)
     zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
-        found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
+        found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error

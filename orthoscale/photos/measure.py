@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import Tags, read_tags
 from ..sources.undistort import undistort
+
+if TYPE_CHECKING:
+    from typing import Unpack
 
 # One sigma of pitch and roll [rad]: as a gimbal reports them (it trembles by some tenths of a degree, and its zero is
 # off by as much), as given by a user, and of a nadir that is only assumed. Assumptions.
@@ -112,6 +115,18 @@ class Photo:
         return replace(self, lens=replace(self.lens, camera=camera))
 
 
+class GivenCamera(TypedDict, total=False):
+    """What a user says of a photo's camera, instead of its tags: keywords of `open_photo`.
+
+    lens_file : calibration of the lens. focal_px : focal length [px]. pitch, roll : of the camera [deg].
+    """
+
+    lens_file: Path | None
+    focal_px: float | None
+    pitch: float | None
+    roll: float | None
+
+
 def open_photo(
     path: Path,
     name: str | None = None,
@@ -158,10 +173,10 @@ def open_photo(
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
 
 
-def open_sound_photo(path: Path, name: str | None = None, **told: Any) -> Photo:
+def open_sound_photo(path: Path, name: str | None = None, **given: Unpack[GivenCamera]) -> Photo:
     """`open_photo`, which also reads some pixels, lest one damaged photo among many ends the search for vehicles.
     Raises InputError for a damaged one, too."""
-    photo = open_photo(path, name, **told)
+    photo = open_photo(path, name, **given)
     photo.picture.read(0, 0, 1, 1, 1, 1)
     return photo
 
@@ -177,7 +192,7 @@ def _roll_beside_told_pitch(tags: Tags) -> float:
 
 
 @dataclass(frozen=True)
-class Measure:
+class Interval90:
     """A value with its 90 % interval."""
 
     value: float
@@ -185,7 +200,7 @@ class Measure:
     high: float
 
     @classmethod
-    def log_normal(cls, value: float, sd: float) -> Measure:
+    def log_normal(cls, value: float, sd: float) -> Interval90:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(float(value), float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd)))
 
@@ -193,8 +208,8 @@ class Measure:
         places = decimals((self.high - self.low) / 2)
         return f"{self.value:.{places}f} ({self.low:.{places}f} to {self.high:.{places}f})"
 
-    def __mul__(self, factor: float) -> Measure:
-        return Measure(self.value * factor, self.low * factor, self.high * factor)
+    def __mul__(self, factor: float) -> Interval90:
+        return Interval90(self.value * factor, self.low * factor, self.high * factor)
 
 
 @dataclass(frozen=True)
@@ -211,9 +226,9 @@ class PhotoScale:
 
     photo: Photo
     scale: Scale
-    altitude: Measure
-    gsd: Measure
-    footprint: tuple[Measure, Measure]
+    altitude: Interval90
+    gsd: Interval90
+    footprint: tuple[Interval90, Interval90]
     boxes: Boxes = field(repr=False)
     picture: np.ndarray = field(repr=False)
     overlap: float = 1.0
@@ -320,8 +335,8 @@ class PhotoGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """How much the sizes would change if attitude or lens were one sigma off."""
-        return Findings(shared=seen.systematic.shared)
+        """Nothing."""
+        return Findings()
 
 
 def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
@@ -332,7 +347,7 @@ def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoSc
     except TooLittleEvidence as error:
         hint = error.hint or "Give photos that show more vehicles, or pool those of one altitude with --together."
         raise TooLittleEvidence(error.message, hint) from error
-    return _assembled(photos[0], got.scale, got.findings.shared, got.boxes, got.picture, 1.0)
+    return _assembled(photos[0], got.scale, got.pooled.systematic.shared, got.boxes, got.picture, 1.0)
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
@@ -359,9 +374,9 @@ def _assembled(
     GSD; so these two parts of the error are added with their signs before squaring."""
     own = {name: -float(np.dot(scale.weights, s)) for name, s in shifts.items()}  # of the log scale
 
-    def following(value: float, name: str, extra: float) -> Measure:
+    def following(value: float, name: str, extra: float) -> Interval90:
         sd = np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2)
-        return Measure(float(value), *scale.interval_of(value, float(sd)))
+        return Interval90(float(value), *scale.interval_of(value, float(sd)))
 
     above = scale.value * photo.lens.focal_px
     altitude = following(above, "focal", np.log1p(photo.lens.sd))

@@ -20,7 +20,7 @@ from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
 from .looking import Looking, boxes_of
-from .measure import Measure, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from .measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def photo(
     lens = None if lens_file is None else path_of(lens_file, "the path of a calibration of the lens")
     numbers = {"--focal-px": focal_px, "--pitch": pitch, "--roll": roll}
     focal_px, pitch, roll = (None if v is None else number(name, v) for name, v in numbers.items())
-    told = {"lens_file": lens, "focal_px": focal_px, "pitch": pitch, "roll": roll}
+    told: GivenCamera = {"lens_file": lens, "focal_px": focal_px, "pitch": pitch, "roll": roll}
     return surveyed(given, Looking.of(options), together, progress, None, **told)
 
 
@@ -97,9 +97,9 @@ def surveyed(
     together: bool = False,
     progress: Progress | None = None,
     on_boxes: Callable[[Detections, Sequence[Photo]], None] | None = None,
-    **lens: Any,
+    **lens: Unpack[GivenCamera],
 ) -> Survey:
-    """Measure the photos at `paths` as `how` requests; `lens` as for `open_photo`. See `photo`.
+    """Measure the photos at `paths` as `how` requests. See `photo`.
 
     on_boxes : called with the boxes as soon as they are found, whether or not they are enough for a scale.
     """
@@ -127,9 +127,10 @@ def surveyed(
     return Survey(outcomes, pooled, found, photos, fleet, (*given.notes, *why))
 
 
-def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:
-    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. Raises InputError if none
-    can.
+def open_photos(
+    paths: dict[str, Path], decode: bool = True, **lens: Unpack[GivenCamera]
+) -> tuple[list[Photo], dict[str, str]]:
+    """The photos that can be used, and why the others cannot. Raises InputError if none can.
 
     decode : leave out damaged ones too; see `open_sound_photo`.
     """
@@ -137,7 +138,7 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
     opened = open_sound_photo if decode else open_photo
     for name, path in paths.items():
         try:
-            photos.append(opened(path, name, **told))
+            photos.append(opened(path, name, **lens))
         except InputError as error:
             if len(paths) == 1:
                 raise
@@ -171,7 +172,7 @@ def compared(outcomes: Sequence[PhotoOutcome], depths: Depths, found: Detections
     refused: list[InputError] = []
     for outcome in outcomes:
         if outcome.photo is not None:
-            by_vehicles: Measure | None = outcome.measured.altitude if outcome.measured else None
+            by_vehicles: Interval90 | None = outcome.measured.altitude if outcome.measured else None
             try:
                 boxes = found.boxes.get(outcome.name, Boxes.empty())
                 outcome = replace(outcome, depth=depths.altitude(outcome.photo, boxes, by_vehicles))

@@ -17,7 +17,7 @@ from ..formats.names import json_in_utf8
 from ..formats.vector import write_layer
 from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
-from .measure import Measure, Photo, PhotoScale
+from .measure import Interval90, Photo, PhotoScale
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
 ALL_TOGETHER = "all together"  # in place of a photo's name, in the row for all
@@ -189,5 +189,5 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
 
 
-def _scale(got: PhotoScale) -> Measure:
-    return Measure(got.scale.value, *got.scale.interval90)
+def _scale(got: PhotoScale) -> Interval90:
+    return Interval90(got.scale.value, *got.scale.interval90)

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.remarks import amount
 from ..core.scale import with_interval
-from .measure import Measure, PhotoScale
+from .measure import Interval90, PhotoScale
 from .tables import PhotoOutcome
 
 LISTED = 40  # photos that are listed
@@ -52,7 +52,7 @@ def summary(
 def _in_full(got: PhotoScale) -> list[str]:
     width, height = got.footprint
     parts = ", ".join(f"{name} {100 * sd:.1f} %" for name, sd in got.scale.parts.items() if sd > 0)
-    scale = Measure(got.scale.value, *got.scale.interval90)
+    scale = Interval90(got.scale.value, *got.scale.interval90)
     lines = [
         f"altitude   {_interval(got.altitude, 'm')}   ({got.scale.verdict})",
         f"GSD        {_interval(got.gsd * 100, 'cm/px')}",
@@ -104,7 +104,7 @@ def _short(got: PhotoScale) -> str:
     )
 
 
-def _interval(m: Measure, unit: str) -> str:
+def _interval(m: Interval90, unit: str) -> str:
     return with_interval(m.value, m.low, m.high, unit)
 
 

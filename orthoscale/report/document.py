@@ -84,7 +84,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     place on a plan, x right and y up (see `Source.from_above`). ``remarks`` and ``judgements`` are those of the core,
     with their severity (`core.remarks`).
     """
-    measured, source, fleet, zoom_choice, remarks = of.measured, of.source, of.fleet, of.zoom_choice, of.remarks
+    measured, source, fleet, remarks = of.measured, of.source, of.fleet, of.remarks
     scale = measured.scale
     plan = source.from_above(measured.votes.place) * scale.value
     claim = own_claim(source, scale)
@@ -117,9 +117,6 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         **_of_detection(of.detections),
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
-        "zoom_search": None
-        if zoom_choice is None
-        else {"vehicle_px": zoom_choice.vehicle_px, "votes": zoom_choice.votes, "runner_up": zoom_choice.rival},
         **_of_posed(measured),
         "input": {
             "path": str(source.path),
@@ -129,7 +126,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         },
         "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
-        "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
+        "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
         "seconds": round(of.seconds, 2),
@@ -138,8 +135,9 @@ def document(of: MeasuredSource) -> dict[str, Any]:
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
-    """The detector, and how much of the pictures was processed (``sweep``): None where boxes came from a file."""
-    swept = found.swept
+    """The detector, the scale search, and how much of the pictures was processed (``sweep``): None where boxes came
+    from a file."""
+    swept, choice = found.swept, found.zoom_choice
     return {
         "detector": {
             "name": found.detector,
@@ -157,6 +155,9 @@ def _of_detection(found: Detections) -> dict[str, Any]:
             "looked_at": swept.looked_at,
             "why": swept.why,
         },
+        "zoom_search": None
+        if choice is None
+        else {"vehicle_px": choice.vehicle_px, "votes": choice.votes, "runner_up": choice.rival},
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core.detections import Detections
 from ..core.fleet import Fleet
@@ -15,15 +15,12 @@ from ..core.remarks import Remark, informing
 from ..core.source import Source
 from ..sources.on_map import OnMap
 
-if TYPE_CHECKING:
-    from ..detect.zoom import ZoomChoice
-
 
 @dataclass(frozen=True, repr=False)
 class MeasuredSource:
     """All that a report says about one source.
 
-    zoom_choice : result of the scale search, None if the zoom was given. seconds : duration. settings : the options as
+    seconds : duration. settings : the options as
     plain values, to repeat the measurement. anchors : those that were found. on_map : where the source lies on the map
     of --against. created : when it was measured, of which all its reports say the same.
     """
@@ -31,7 +28,6 @@ class MeasuredSource:
     source: Source
     fleet: Fleet
     detections: Detections
-    zoom_choice: ZoomChoice | None
     seconds: float
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..normal import Z90
 from ..projection.planar import square_pixels
-from ..remarks import CAUTION, REFUSAL, Remark
+from ..remarks import CAUTION, REFUSAL, Remark, percent
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
@@ -56,6 +57,15 @@ class Trend:
         """Relative difference of the scale between its extremes; 0 without a significant drift."""
         return float(np.hypot(self.tilt if self.tilts else 0.0, self.bend if self.bends else 0.0))
 
+    @property
+    def figures(self) -> str:
+        """Its tilt and, if it is bent, its bend, in words."""
+        return f"{self._change} from side to side{f', bent by {percent(self.bend)}' if self.bends else ''}"
+
+    @property
+    def _change(self) -> str:
+        return f"{100 * self.tilt:.1f} %"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Drift(Trend):
@@ -72,6 +82,15 @@ class Drift(Trend):
     cell: tuple[float, float]
     tilt_sd: float
     direction: float
+
+    @property
+    def trend(self) -> Trend:
+        """This trend itself, under its name in `model_drift.ModelDrift`."""
+        return self
+
+    @property
+    def _change(self) -> str:
+        return f"{100 * self.tilt:.1f} ± {100 * Z90 * self.tilt_sd:.1f} % (90 %)"
 
     @property
     def warnings(self) -> list[str]:

@@ -6,11 +6,9 @@ import math
 from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
-from ..normal import Z90
 from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
 from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
-from .drift import Drift
 from .measurement import Measurement
 from .model_drift import ModelDrift
 from .squeeze import SQUEEZE
@@ -109,24 +107,16 @@ def _claim(claim: Comparison | None) -> Iterator[Judgement]:
 
 def _places(measured: Measurement) -> Judgement | None:
     drift = measured.drift
-    if isinstance(drift, Drift):
-        change = drift.tilt
-        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % (90 %) from side to side"
-        figures += f", bent by {percent(drift.bend)}" if drift.bends else ""
-    elif isinstance(drift, ModelDrift) and drift.trend is not None:
-        change = drift.trend.tilt
-        figures = f"{100 * drift.trend.tilt:.1f} % from side to side"
-        figures += f", bent by {100 * drift.trend.bend:.1f} %" if drift.trend.bends else ""
-    elif drift is None and measured.modes:
+    if drift is None and measured.modes:
         return None  # the planar measurement compares no places
-    else:
+    if drift is None or drift.trend is None:
         return Judgement(INFO, "Places not compared", "too few vehicles")
     if drift.drifts:
         refused = any(r.severity == REFUSAL and r.text in drift.warnings for r in measured.remarks)
-        return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", figures + ", significant")
-    if change > max(measured.scale.half_width, ROUGH):
-        return Judgement(INFO, "Drift neither found nor excluded", figures)
-    return Judgement(SUPPORT, "No drift", figures + ", not significant")
+        return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", f"{drift.trend.figures}, significant")
+    if drift.trend.tilt > max(measured.scale.half_width, ROUGH):
+        return Judgement(INFO, "Drift neither found nor excluded", drift.trend.figures)
+    return Judgement(SUPPORT, "No drift", f"{drift.trend.figures}, not significant")
 
 
 def _frames(measured: Measurement) -> Judgement | None:

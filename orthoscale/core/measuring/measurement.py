@@ -38,14 +38,10 @@ class SelfCalibration:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the boxes of one geometry show besides the scale; None or empty where they cannot show it.
-
-    shared : as in `systematic.Systematic`.
-    """
+    """What the boxes of one geometry show besides the scale; None where they cannot show it."""
 
     calibration: SelfCalibration | None = None
     drift: Drift | ModelDrift | None = None
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

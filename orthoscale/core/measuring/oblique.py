@@ -55,7 +55,8 @@ class FramesGeometry:
     """The `Geometry` of boxes in frames, each with its own camera: the part common to all projections.
 
     source : of the frames. found : all detections in them. views : of the boxes, on the ground on which the vehicles
-    stand. footing : that ground, for the vehicles and for everything else that is measured on it.
+    stand. footing : that ground, for the vehicles and for everything else that is measured on it. card : the ruler of
+    the detector's card. ruler : the one measured by, at first the card's.
     """
 
     source: PosedSet
@@ -66,6 +67,8 @@ class FramesGeometry:
     views: Views
     lost: Mapping[str, int]
     footing: Footing
+    card: OwnRuler
+    ruler: OwnRuler
     projection: str = "exact"
     called: str = CALLED_IN_FRAMES
     repeated: bool = True
@@ -95,7 +98,8 @@ class FramesGeometry:
         sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
         footing = standing_in_model(source, np.array(names), place, sides)
         view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)
-        seen = (source, found, fleet, boxes, np.array(names), view, lost, footing)
+        card = card_of(found, found.ruler.margin, found.ruler.margin_sd)
+        seen = (source, found, fleet, boxes, np.array(names), view, lost, footing, card, card)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
         return OtherGeometry(*seen, projection=method.projection)
@@ -126,11 +130,6 @@ class FramesGeometry:
         return world_axes(self.source, self.picture, self.boxes, self.views)
 
     @cached_property
-    def card(self) -> OwnRuler:
-        """The ruler of the detector's card."""
-        return card_of(self.found, self.found.ruler.margin, self.found.ruler.margin_sd)
-
-    @cached_property
     def leaning(self) -> np.ndarray:
         """(M, 2) how much of a vehicle's height each box shows along length and width, from `height.lean`."""
         return lean(self.boxes, self.views)
@@ -153,7 +152,7 @@ class FramesGeometry:
         return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country, self.footing)]
 
     def _findings(
-        self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, ruler: OwnRuler, vehicles: Votes, scale: Scale
+        self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, vehicles: Votes, scale: Scale
     ) -> Findings:
         """shipped : (M, 2) sizes by the detector's card. bare : (M, 2) sizes by `ruler`; both without the margin."""
         ok = seen.solved
@@ -162,23 +161,18 @@ class FramesGeometry:
         )
         plan = self.source.ground.plane(vehicles.place)
         return Findings(
-            SelfCalibration(ruler, self.card, changes), model_drift(bare[ok], self.picture[ok], vehicles, scale, plan)
+            SelfCalibration(self.ruler, self.card, changes),
+            model_drift(bare[ok], self.picture[ok], vehicles, scale, plan),
         )
 
 
 @dataclass(frozen=True)
 class ExactGeometry(FramesGeometry):
-    """With the exact projection. ruler : the current one; None for that of the card, at first."""
-
-    ruler: OwnRuler | None = None
-
-    @property
-    def _ruler(self) -> OwnRuler:
-        return self.ruler or self.card
+    """With the exact projection. Its ruler is calibrated between rounds."""
 
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes by the current ruler; the margin comes off the boxes before they are projected."""
-        ruler, known, seen = self._ruler, self.found.ruler, self.seen(metres_per_unit)
+        ruler, known, seen = self.ruler, self.found.ruler, self.seen(metres_per_unit)
         size, slopes = ruler.size(seen), ruler.slopes(seen)
         solved = np.isfinite(size).all(1)
         if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that they may be nothing but margin
@@ -198,18 +192,18 @@ class ExactGeometry(FramesGeometry):
         [units]."""
         if not self.source.focal.sd:
             return self.footing.alike
-        longer = self._ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
+        longer = self.ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
         return {**self.footing.alike, "focal length": larger_by(longer, size)}
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """The same with the ruler by which vehicles have the same size in all their views."""
         boxes = self.seen(scale.value)[seen.solved]
-        return replace(self, ruler=self_calibrated(boxes, votes.counted(scale.used), self.card, self._ruler))
+        return replace(self, ruler=self_calibrated(boxes, votes.counted(scale.used), self.card, self.ruler))
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """The ruler, and how the scale changes from frame to frame and from place to place."""
         shipped = self.card.size(self.seen(scale.value))
-        return self._findings(seen, shipped, seen.size, self._ruler, vehicles, scale)
+        return self._findings(seen, shipped, seen.size, vehicles, scale)
 
 
 @dataclass(frozen=True)
@@ -237,7 +231,7 @@ class OtherGeometry(FramesGeometry):
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """How the scale changes from frame to frame and from place to place."""
         bare = seen.size - self.card.margin * self.pixel[:, None]
-        return self._findings(seen, bare, bare, self.card, vehicles, scale)
+        return self._findings(seen, bare, bare, vehicles, scale)
 
 
 def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:

@@ -42,12 +42,10 @@ def measure_source(
     mode : of a posed set, see `measure_posed`; a plan has none. Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
-        measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = plausible(measured.scale, measured.boxes, sum(doubts(found).values()), source.plan.claimed.aspect)
+        measured = measure(PlanGeometry.of(source, found), fleet, method)
+        scale = plausible(measured.scale, measured.boxes, sum(doubts(found).values()), source.claimed.aspect)
         return _of_one_scale(replace(measured, scale=scale))
-    if source.posed is not None:
-        return measure_posed(source.posed, found, fleet, method, mode)
-    raise TypeError(f"{source!r} is neither a plan nor a posed set")
+    return measure_posed(source, found, fleet, method, mode)
 
 
 def measure_posed(

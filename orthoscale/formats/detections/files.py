@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,7 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     if suffix == ".txt":
         dota.write(path, found.boxes, source.picture_names)
         return
-    found = _renamed(found, in_utf8)
+    found = found.renamed(in_utf8)
     if suffix == ".gpkg":
         geo.write_geopackage(path, found.boxes, _place(source), note(found))
     elif suffix == ".geojson":
@@ -127,7 +127,7 @@ def _of_own_document(
     if alone and len(found) and found.planar is None:
         other = other_name([*found.boxes, *found.doubtful, *found.objects, *aside], source.picture_names)
     if other is not None:
-        found = _renamed(found, lambda name: source.picture_names[0])
+        found = found.renamed(lambda name: source.picture_names[0])
     return _checked(found, source, path, sizes, other)
 
 
@@ -187,25 +187,51 @@ def _checked(
 
     Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
     """
-    known = source.picture_names
-    exact = {in_utf8(name): name for name in known}
-    found = _renamed(found, lambda name: exact.get(name, name))
-    alike = _by_composed([name for name in known if name not in found.boxes])
-    found = _renamed(found, lambda name: name if name in sizes else alike.get(composed(name), name))
-    strangers = [name for name in found.boxes if name not in sizes]
+    found = _in_source(_named_as_in(sizes, found), source, path)
+    _check_boxes(found, sizes, path)
+    _check_places(found.boxes, sizes, path, other)
+    if other is not None:
+        text = f"{path}: its boxes are of {shown(other)!r}, and were taken for those of {shown(next(iter(sizes)))!r}"
+        source.notes.append(Remark(CAUTION, text))
+    single = _without_copies(found, path)
+    if copies := len(found) - len(single):
+        text = f"{path}: {copies} of its {len(found)} boxes repeat the vehicle of another and were left out"
+        source.notes.append(Remark(INFO, text))
+    return single
+
+
+def _named_as_in(names: Collection[str], found: Detections) -> Detections:
+    """`found` with the source's own `names` for pictures whose names are written in another way: escaped as in UTF-8,
+    or of other Unicode characters that look the same."""
+    exact = {in_utf8(name): name for name in names}
+    found = found.renamed(lambda name: exact.get(name, name))
+    alike = _by_composed([name for name in names if name not in found.boxes])
+    return found.renamed(lambda name: name if name in names else alike.get(composed(name), name))
+
+
+def _in_source(found: Detections, source: Pictures, path: Path) -> Detections:
+    """`found` in the pictures that `source` has, with a caution if there are others. Raises InputError if it has none
+    of them."""
+    known = dict.fromkeys(source.picture_names)
+    strangers = [name for name in found.boxes if name not in known]
     if strangers and len(strangers) == len(found.boxes):
         of = f"none of its {len(strangers)} pictures is" if len(strangers) > 1 else "its only picture is not"
         raise InputError(
             f"{path}: {of} in {source.path}{', the first is' if len(strangers) > 1 else ':'} {shown(strangers[0])!r}",
-            f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
+            f"The source has pictures like {next(iter(known))!r}: give the detections that were made on it.",
         )
     if strangers:
         note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
         source.notes.append(Remark(CAUTION, note))
-    found = found.only_in(sizes)
-    _check_boxes(found, sizes, path)
+    return found.only_in(known)
+
+
+def _check_places(
+    found: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], path: Path, other: str | None
+) -> None:
+    """Raise InputError for boxes whose centre lies outside of their picture; `other` as for `_checked`."""
     for name, size in sizes.items():
-        boxes = found.boxes.get(name, Boxes.empty())
+        boxes = found.get(name, Boxes.empty())
         outside = ((boxes.centre < 0) | (boxes.centre > np.array(size))).any(1)
         if outside.any():
             x, y = boxes.centre[outside][0]
@@ -215,21 +241,15 @@ def _checked(
                 f"({size[0]} x {size[1]} px), the first at x {x:.6g}, y {y:.6g}",
                 "Give detections made on this picture, in its pixels or its coordinates.",
             )
-    if other is not None:
-        text = f"{path}: its boxes are of {shown(other)!r}, and were taken for those of {shown(known[0])!r}"
-        source.notes.append(Remark(CAUTION, text))
+
+
+def _without_copies(found: Detections, path: Path) -> Detections:
+    """`found` with one box for each vehicle, in ground pictures too. Raises InputError for heaps of boxes."""
     try:
         single = {name: distinct(boxes) for name, boxes in found.boxes.items()}
-        planar = found.planar
-        if planar is not None:
-            planar = replace(planar, boxes={name: distinct(boxes) for name, boxes in planar.boxes.items()})
     except ValueError as error:
         raise InputError(f"{path}: {error}", "Give detections with one box for each vehicle.") from error
-    copies = len(found) - sum(map(len, single.values()))
-    if copies:
-        text = f"{path}: {copies} of its {len(found)} boxes repeat the vehicle of another and were left out"
-        source.notes.append(Remark(INFO, text))
-    return replace(found, boxes=single, planar=planar)
+    return replace(found, boxes=single, planar=None if found.planar is None else _without_copies(found.planar, path))
 
 
 def _by_composed(names: Sequence[str]) -> dict[str, str]:
@@ -237,16 +257,6 @@ def _by_composed(names: Sequence[str]) -> dict[str, str]:
     forms = [composed(name) for name in names]
     count = Counter(forms)
     return {form: name for form, name in zip(forms, names, strict=True) if count[form] == 1}
-
-
-def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
-    """`found` with `name` applied to each picture's name."""
-    boxes = {name(picture): each for picture, each in found.boxes.items()}
-    doubtful = {name(picture): each for picture, each in found.doubtful.items()}
-    set_aside = {why: {name(p): each for p, each in some.items()} for why, some in found.set_aside.items()}
-    objects = {name(picture): kinds for picture, kinds in found.objects.items()}
-    planar = None if found.planar is None else _renamed(found.planar, name)
-    return replace(found, boxes=boxes, doubtful=doubtful, set_aside=set_aside, objects=objects, planar=planar)
 
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:

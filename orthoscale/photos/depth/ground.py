@@ -15,7 +15,7 @@ import numpy as np
 from ...core.boxes import Boxes
 from ...core.normal import ROBUST_SD
 from ...errors import InputError
-from ..measure import Measure, Photo
+from ..measure import Interval90, Photo
 
 # Where ground is looked for: at RINGS widths of the vehicle from its box, but outside of every box grown by CLEARED,
 # which may still show roofs and wheels; between parked vehicles there is half a width.
@@ -71,7 +71,7 @@ class DepthAltitude:
     vehicles: int
 
 
-def depth_altitude(photo: Photo, depth: DepthMap, boxes: Boxes, by_vehicles: Measure | None = None) -> DepthAltitude:
+def depth_altitude(photo: Photo, depth: DepthMap, boxes: Boxes, by_vehicles: Interval90 | None = None) -> DepthAltitude:
     """The altitude of `photo` by `depth`: the median over the ground around each of `boxes`, then the median over the
     boxes.
 
@@ -183,7 +183,7 @@ def _refuse_inverse(photo: Photo, depth: DepthMap, boxes: Boxes, around: np.ndar
         )
 
 
-def _refuse_unit(depth: DepthMap, altitude: float, by_vehicles: Measure | None) -> None:
+def _refuse_unit(depth: DepthMap, altitude: float, by_vehicles: Interval90 | None) -> None:
     """Raise InputError for an altitude at which nobody flies, or that is far from the one by the vehicles."""
     if altitude < NEAREST_M:
         raise InputError(

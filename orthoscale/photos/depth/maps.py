@@ -8,7 +8,7 @@ from ...core.boxes import Boxes
 from ...errors import InputError, UsageError
 from ...formats.reading import absent
 from ...requests import PhotoRequest
-from ..measure import Measure, Photo
+from ..measure import Interval90, Photo
 from .files import MAP_ENDINGS, read_depth
 from .ground import DepthAltitude, DepthMap, Kind, depth_altitude
 from .network import DepthNetwork
@@ -53,7 +53,7 @@ class Depths:
             return None
         return cls(Path(how.depth), "range" if how.depth_kind == "range" else "z", how.depth_factor, several)
 
-    def altitude(self, photo: Photo, boxes: Boxes, by_vehicles: Measure | None = None) -> DepthAltitude:
+    def altitude(self, photo: Photo, boxes: Boxes, by_vehicles: Interval90 | None = None) -> DepthAltitude:
         """See `depth_altitude`. Raises InputError for a photo without a depth map, too."""
         return depth_altitude(photo, self.of(photo), boxes, by_vehicles)
 
