@@ -72,8 +72,12 @@ def test_what_speaks_against_a_scale_comes_first(measured, what):
 
 
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
-    found = judgements(with_tape(measured, 0.13, 5.0))
-    assert "vehicles: 0.1, a tape: 0.13, 5 sigmas apart" in [j.detail for j in found if "contradicts" in j.what]
+    contradicted = with_tape(measured, 0.13, 5.0)
+    said = "vehicles: 0.1, a tape: 0.13, 5 sigmas apart"
+    remarks = [Remark(REFUSAL, text) for text in contradicted.scale.support.refusals]
+    found = judgements(scaled(contradicted, remarks=remarks))
+    assert said in [j.detail for j in found if "contradicts" in j.what]
+    assert len([j for j in found if said in j.detail]) == 1, "not once more as a remark"
 
 
 def test_lengths_and_widths_refuse_only_far_apart(measured):

@@ -35,8 +35,8 @@ def judgements(
     """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames, _parts)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
-    # The checks `_places`, `_frames` and `_parts` state the drift and the parts' scales, which are not repeated.
-    told = [] if measured.drift is None else list(measured.drift.warnings)
+    # Not repeated: what the checks `_evidence`, `_places`, `_frames` and `_parts` state.
+    told = [*measured.scale.support.refusals, *(() if measured.drift is None else measured.drift.warnings)]
     told += [] if measured.parts is None else [measured.parts.contradiction]
     remarks = measured.remarks if remarks is None else remarks
     said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
