@@ -112,7 +112,6 @@ def evaluate(
     wrong ones; their places come from Dense_GPS_*.txt, the CSV's longitude and latitude, or GPS tags.
     """
     from ..evaluate import report
-    from ..formats.detections import output_of
     from ..photos import looking as boxes
     from ..photos.depth.maps import Depths
     from ..photos.tables import check_ending
@@ -126,17 +125,16 @@ def evaluate(
         for output in outputs:
             check_ending(output, (".json", ".csv"))
         partials = [files.file(output, report.known(output, locate)) for output in outputs]
-        saved = output_of(files, save_detections)
+        saved = boxes.PhotoBoxes(files, save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
+        saved.check(photos)
         depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, ruler, progress)
         notes += found.notes
-        if saved is not None:  # saved at once, as they are most worth inspecting if they are too few
-            boxes.save_boxes(found, saved, photos)
-            files.deliver(saved)
+        saved.keep(found, photos)
         if satellite is None:
             text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
             shown = report.tables(text, outputs)

@@ -268,7 +268,8 @@ def _anything(evidence: Sequence[Evidence]) -> Posterior:
 
 def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[str]]:
     """Sigmas between the two measurements that contradict each other most, 0 where none do; and the figures of each
-    pair that does, those furthest apart first. Two pieces of evidence are compared by the errors that they do not share.
+    pair that does, those furthest apart first. Two pieces of evidence are compared by the errors that they do not
+    share.
 
     Among many pairs some are far apart by chance, so the probability of a false contradiction is divided among them
     (Bonferroni).

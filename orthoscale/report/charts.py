@@ -182,7 +182,7 @@ def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
 
 
 def _ticks(reach: float, most: float = np.inf) -> np.ndarray:
-    """Round numbers from -`reach` to `reach`, three to five of them; three where there is no room for `most` of those."""
+    """Round numbers from -`reach` to `reach`, three to five of them; three where that is more than `most`."""
     step = round_below(reach)
     step *= np.floor(reach / step) if 2 * reach / step > most else 1
     return np.arange(np.ceil(-reach / step), np.floor(reach / step) + 1) * step
