@@ -271,8 +271,16 @@ def found_at(sky, told) -> np.ndarray:
     return sky.pixel_of(*told["foot"]) * 2 * GSD
 
 
+@pytest.fixture
+def lettered(monkeypatch):
+    """What is written on the pictures."""
+    texts, write_on = [], files.write_on
+    monkeypatch.setattr(files, "write_on", lambda *a: (texts.append(a[2]), write_on(*a)))
+    return texts
+
+
 @pytest.mark.parametrize("name", SHOTS)
-def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
+def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name, lettered):
     done = run(*line(flight, tmp_path / "out", name, "--json"))
     assert done.returncode == 0, done.stderr
     (told,) = json.loads(done.stdout)["photos"]
@@ -285,6 +293,11 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {
         "located.json", "candidates.csv", "located.gpkg", "matches.jpg",
     }  # fmt: skip
+    photo, its_map, verdict = lettered
+    assert photo.startswith(f"photo {name}, ") and its_map == "map map.tif"
+    assert verdict.startswith(f"located: {told['inliers']} matches, {told['needed']} needed")
+    image = np.asarray(Image.open(tmp_path / "out" / "matches.jpg"))
+    assert image.shape == (files.MATCHES_PANEL + files.CAPTION, 2 * files.MATCHES_PANEL, 3)
     layers = {name for name, _ in pyogrio.list_layers(tmp_path / "out" / "located.gpkg")}
     assert layers == {"footprints", "cameras", "candidates"}
     _, _, geometry, _ = pyogrio.raw.read(tmp_path / "out" / "located.gpkg", layer="cameras")
@@ -408,9 +421,10 @@ def test_candidates_of_a_photo_whose_name_is_not_utf_8_are_written(tmp_path, mon
     assert rb"caf\udce9.jpg" in (tmp_path / "located.gpkg").read_bytes()
 
 
-def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path):
+def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path, lettered):
     done = run(*line(flight, tmp_path / "out", "down.png", "--heading", "200"))
     assert done.returncode == 3 and "not located: best candidate has" in done.stderr and "needed" in done.stderr
+    assert lettered[-1].startswith("not located: best candidate has")
     with (tmp_path / "out" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert 1 <= len(rows) <= 5 and int(rows[0]["inliers"]) < int(rows[0]["needed"])

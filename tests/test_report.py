@@ -26,13 +26,13 @@ from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
+from orthoscale.formats.lettering import HALO, in_ascii, write_on
 from orthoscale.formats.schemas.report import Report, ReportInput
 from orthoscale.report import charts, files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json
 from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
-from orthoscale.report.lettering import HALO, in_ascii, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
