@@ -100,6 +100,15 @@ def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(me
     assert check.severity == INFO and check.detail == "lengths give −30.0 % against widths (0.1 sigma)"
 
 
+def test_a_conflict_makes_no_other_check_lenient(measured):
+    """Its interval spans what contradicts: a drift of 13 % was "not significant", and a tick."""
+    checks = {**measured.scale.checks, "length": 0.9 * measured.scale.checks["width"]}
+    wide = {"checks": checks, "tension": 0.1, "interval90": (0.5 * measured.scale.value, 2 * measured.scale.value)}
+    for conflict, severity in ((0.0, SUPPORT), (9.0, INFO)):
+        found = judgements(scaled(measured, conflict=conflict, **wide))
+        assert [j.severity for j in found if "widths" in j.what] == [severity]
+
+
 def test_no_sampling_error_is_made_up_in_a_conflict(measured):
     (check,) = [j for j in judgements(scaled(measured, parts={"conflict": 0.1})) if "vehicles" in j.what]
     assert check.severity == INFO and "sampling" not in check.detail
