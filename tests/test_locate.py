@@ -676,6 +676,36 @@ def test_scale_errors_are_a_list_or_a_range():
             locating.scale_errors(text)
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--scale-errors", "x"], 2, "--scale-errors x is not a list"),
+        (["--method", "dense"], 2, "--method dense needs"),
+        (["--satellite", "DAMAGED"], 5, "map.tif"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_refused_before_vehicles_are_looked_for(
+    sky, tmp_path, monkeypatch, words, code, said
+):
+    """They are looked for in thousands of photos."""
+
+    def looked(*_, **__):
+        raise AssertionError("vehicles were looked for")
+
+    def no_package():
+        raise UsageError("--method dense needs the package")
+
+    monkeypatch.setattr("orthoscale.photos.looking.boxes_of", looked)
+    monkeypatch.setattr("orthoscale.locate.dense.DenseFeatures", no_package)
+    write_photo(tmp_path / "a.jpg")
+    (tmp_path / "set.csv").write_text("image,altitude_m,longitude,latitude,pitch_deg\na.jpg,80,9.001,60.401,-90\n")
+    (tmp_path / "map.tif").write_bytes(sky.source.path.read_bytes()[:200])
+    words = [tmp_path / "map.tif" if word == "DAMAGED" else word for word in words]
+    given = [] if "--satellite" in words else ["--satellite", sky.source.path]
+    done = run("evaluate", tmp_path / "set.csv", "--focal-px", 600, "--locate", *given, *words)
+    assert done.returncode == code and said in done.stderr, done.stderr
+
+
 @pytest.mark.slow
 def test_success_is_told_by_scale_error(ground, sky, tmp_path):
     shot = Shot((180.0, 220.0), altitude=120.0)
