@@ -481,8 +481,9 @@ def test_a_folder_with_everything_in_it(tmp_path):
     out = tmp_path / "layout"
     before = path.read_bytes()
     done = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("placed     4 of 5 facilities") and done.stderr == ""
+    assert done.returncode == 3, done.stderr
+    assert done.stdout.startswith("placed     4 of 5 facilities")
+    assert done.stderr.startswith("error: 1 of 5 facilities does not fit: football\n")
     assert "football pitch (111.0 x 74.0 m with its run-off) does not fit" in done.stdout
     names = (
         "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"

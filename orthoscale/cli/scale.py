@@ -65,7 +65,6 @@ def estimate(
     from ..actions import estimate as pipeline
     from ..actions import workspace
     from ..actions.kept_boxes import KeptBoxes
-    from ..actions.opening import source_of
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
@@ -82,10 +81,8 @@ def estimate(
             outcomes = workspace.estimate_all(models, request, progress)
         else:
             boxes = KeptBoxes(outputs, save_detections)
-            source = source_of(path, request, request.needs_pictures, progress)
-            boxes.check(source)
             with boxes.also_without_scale():
-                result = pipeline.noted(pipeline.measured(source, request, progress, boxes.take))
+                result = pipeline.noted(pipeline.measured(path, request, progress, boxes.take, boxes.check))
             boxes.take(result.detections, result.source)
             boxes.save()
     if models:
