@@ -60,6 +60,12 @@ class TooLittleEvidence(OrthoscaleError):
     exit_code = 3
 
 
+class TooLittleRoom(OrthoscaleError):
+    """Not all facilities that were asked for fit on the lot."""
+
+    exit_code = 3
+
+
 class EvidenceDisagrees(OrthoscaleError):
     """Two independent measurements of the scale contradict each other."""
 

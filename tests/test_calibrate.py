@@ -211,6 +211,17 @@ def test_a_calibrated_detector_measures_better(place, tmp_path):
     assert after.detections.ruler == ruler
 
 
+@pytest.mark.parametrize("detector", [None, "other.onnx"])
+def test_what_calibrating_the_built_in_detector_costs_is_said(tmp_path, monkeypatch, detector):
+    """Its boxes are measured again unless there is a calibration: on manila +-5.2 % became +-6.9 %."""
+    made = {"size_m": (4.4, 1.8), "size_sd_m": (0.1, 0.1), "vehicles": 60, "gsd_m": 0.1, "fleet": "DE", "notes": []}
+    ready = Calibration("a detector", "ff", Ruler(), None, made)
+    monkeypatch.setattr("orthoscale.actions.calibrate.calibrate", lambda *given, **options: ready)
+    words = [] if detector is None else ["--detector", tmp_path / detector]
+    said = command("calibrate", tmp_path / "place.png", "--fleet", "DE", *words).output
+    assert ("without the measurer" in said) == (detector is None), said
+
+
 @pytest.mark.slow
 def test_the_local_fleet_travels_with_the_file(place, tmp_path):
     out = tmp_path / "ruler.json"

@@ -191,7 +191,7 @@ def test_help_has_examples_and_exit_codes(command):
     codes = shown[shown.index("  Exit codes: ") :]
     assert all(f"{code} " in codes for code in (0, 2, 5, 6)) and all(len(line) <= 80 for line in codes.splitlines())
     assert ("--force" in codes) == (command in ("", "fix"))
-    assert ("3 " in codes) == (command not in ("apply", "explain", "layout", "report"))
+    assert ("3 " in codes) == (command not in ("apply", "explain", "report"))
 
 
 def test_fleets_are_listed():

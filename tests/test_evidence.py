@@ -42,6 +42,18 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert "that of the most certain side alone, a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
+def test_the_worst_of_several_contradictions_comes_first():
+    """It is the one that an error states."""
+    far = Evidence("a", 0.3, 0.02, "a tape")
+    near = Evidence("b", 0.2, 0.02, "a court")
+    for given in ([near, far], [far, near]):
+        together = combined(VEHICLES, PARTS, given)
+        sigmas = [float(said.split(", ")[-1].split()[0]) for said in together.support.conflicts]
+        assert len(sigmas) == 3 and sigmas == sorted(sigmas, reverse=True)
+        assert together.conflict == pytest.approx(sigmas[0], abs=0.05)
+        assert together.support.conflicts[0].startswith("vehicles") and "a tape" in together.remarks[0].text
+
+
 def test_a_contradiction_says_what_to_check():
     """Only what there is: whoever gave no distance has none to check."""
     flown = Evidence(BY_GPS, 0.14, 0.01, "GPS positions of 10 frames")

@@ -19,8 +19,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 from rasterio.control import GroundControlPoint
+from support.in_process import run
 from support.models import make_model
 from support.models import save as save_model
+from support.photos import write_photo
 
 import orthoscale
 from orthoscale.cli.main import cli
@@ -642,6 +644,37 @@ def test_names_that_a_format_cannot_hold(tmp_path, plain):
         save(found, tmp_path / "boxes.xml", plain)
     with pytest.raises(UsageError, match="has a space"):
         save(Detections({"my ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / "d.txt", plain)
+
+
+@pytest.mark.parametrize(
+    "words", [["estimate"], ["estimate", "--dry-run"], ["fix", "--out", "NEW"], ["check"], ["photo"]]
+)
+def test_names_that_a_format_cannot_hold_are_refused_before_anything_is_measured(tmp_path, monkeypatch, words):
+    def measured(*args, **more):
+        raise AssertionError("it was measured")
+
+    for module in ("actions.estimate", "photos.survey"):
+        monkeypatch.setattr(f"orthoscale.{module}.boxes_of", measured)
+    photo, ortho = tmp_path / "my photo.jpg", tmp_path / "my ortho.tif"
+    write_photo(photo, exif={0x920A: 4.5, 0xA405: 24})
+    place = {"crs": LOCAL_CRS, "transform": Affine(0.1, 0, 0, 0, -0.1, 6.4)}
+    with rasterio.open(ortho, "w", "GTiff", 64, 64, 3, dtype="uint8", **place) as file:
+        file.write(np.random.default_rng(0).integers(1, 255, (3, 64, 64), np.uint8))
+    more = {"fix": ["--override", "--out", tmp_path / "new.tif"], "photo": ["--pitch", "-90"]}.get(words[0], [])
+    picture = photo if words == ["photo"] else ortho
+    command = [words[0], picture, *words[1:], *more, "--save-detections", tmp_path / "boxes.txt"]
+    done = run(*command)
+    assert done.returncode == 2 and "has a space" in done.stderr, done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["my ortho.tif", "my photo.jpg"]
+
+
+def test_a_picture_whose_name_is_no_utf_8_is_saved_in_each_format(tmp_path):
+    name = os.fsdecode(b"caf\xe9.tif")
+    found = Detections({name: BOXES}, 1.0, RULER, (0.7, 0.5), "test")
+    source = SimpleNamespace(picture_names=[name], image_size=lambda name: (300, 300), claimed=None)
+    for ending in (".json", ".coco.json", ".txt", ".geojson"):
+        save(found, tmp_path / f"boxes{ending}", source)
+        assert "caf" in (tmp_path / f"boxes{ending}").read_text(encoding="utf-8")
 
 
 def test_the_command_converts_between_formats(plain, tmp_path):

@@ -98,6 +98,11 @@ def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
     assert doubt.ratio == pytest.approx(28 / 43.27 * 1250 / 900, rel=0.03)
     assert 0.005 < doubt.sd < 0.04
     assert "measured as footprints on the ground" in doubt.said and "809 px" in doubt.said
+    assert "; cameras are assumed 10 % lower, since" in doubt.said
+    for camera in model.cameras.values():
+        camera.params = [810.0, *camera.params[1:]]
+    same = focal_doubt(model, ColmapSource.open(tmp_path).pictures)
+    assert "; cameras are left where they are, since" in same.said, "not: 0 % lower"
 
 
 def test_footprints_stay_and_heights_follow():

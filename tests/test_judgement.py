@@ -72,8 +72,12 @@ def test_what_speaks_against_a_scale_comes_first(measured, what):
 
 
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
-    found = judgements(with_tape(measured, 0.13, 5.0))
-    assert "vehicles: 0.1, a tape: 0.13, 5 sigmas apart" in [j.detail for j in found if "contradicts" in j.what]
+    contradicted = with_tape(measured, 0.13, 5.0)
+    said = "vehicles: 0.1, a tape: 0.13, 5 sigmas apart"
+    remarks = [Remark(REFUSAL, text) for text in contradicted.scale.support.refusals]
+    found = judgements(scaled(contradicted, remarks=remarks))
+    assert said in [j.detail for j in found if "contradicts" in j.what]
+    assert len([j for j in found if said in j.detail]) == 1, "not once more as a remark"
 
 
 def test_lengths_and_widths_refuse_only_far_apart(measured):
@@ -94,6 +98,15 @@ def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(me
     checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
     (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]
     assert check.severity == INFO and check.detail == "lengths give −30.0 % against widths (0.1 sigma)"
+
+
+def test_a_conflict_makes_no_other_check_lenient(measured):
+    """Its interval spans what contradicts: a drift of 13 % was "not significant", and a tick."""
+    checks = {**measured.scale.checks, "length": 0.9 * measured.scale.checks["width"]}
+    wide = {"checks": checks, "tension": 0.1, "interval90": (0.5 * measured.scale.value, 2 * measured.scale.value)}
+    for conflict, severity in ((0.0, SUPPORT), (9.0, INFO)):
+        found = judgements(scaled(measured, conflict=conflict, **wide))
+        assert [j.severity for j in found if "widths" in j.what] == [severity]
 
 
 def test_no_sampling_error_is_made_up_in_a_conflict(measured):

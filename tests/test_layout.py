@@ -481,8 +481,9 @@ def test_a_folder_with_everything_in_it(tmp_path):
     out = tmp_path / "layout"
     before = path.read_bytes()
     done = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("placed     4 of 5 facilities") and done.stderr == ""
+    assert done.returncode == 3, done.stderr
+    assert done.stdout.startswith("placed     4 of 5 facilities")
+    assert done.stderr.startswith("error: 1 of 5 facilities does not fit: football\n")
     assert "football pitch (111.0 x 74.0 m with its run-off) does not fit" in done.stdout
     names = (
         "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"
@@ -545,7 +546,7 @@ def test_a_side_that_is_nearly_north_is_not_told_to_point_south(tmp_path):
     "ring, options, code, word",
     [
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "curling"], 2, "Known are"),
-        ([(5, 5), (65, 5), (65, 45)], ["--facility", "football"], 2, "nothing fits"),
+        ([(5, 5), (65, 5), (65, 45)], ["--facility", "football"], 3, "nothing fits"),
         ([(5, 5), (65, 5), (65, 45)], [], 2, "--facility"),
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--clearance", "-1"], 2, "clearance"),
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--scale-error", "120"], 2, "100 per cent"),
@@ -561,6 +562,19 @@ def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, ring, opti
     done = run(path, "--lot", lot, *options, "--out", tmp_path / "out")
     assert done.returncode == code, done.stderr
     assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_what_does_not_fit_ends_with_a_code_of_its_own_and_leaves_the_others(tmp_path, more):
+    """A script would take exit code 0 for a layout with all that it asked for."""
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    wanted = ["--facility", "football", "--facility", "padel:2", "--facility", "football"]
+    done = run(orthophoto(tmp_path), "--lot", lot, *wanted, "--out", tmp_path / "out", *more)
+    assert done.returncode == 3
+    assert "2 of 4 facilities do not fit: football\nOnly the others are placed." in done.stderr
+    made = json.loads((tmp_path / "out" / "layout.json").read_text())
+    assert [row["code"] for row in made["facilities"]] == ["padel", "padel"]
+    assert json.loads(done.stdout) == made if more else "placed     2 of 4" in done.stdout
 
 
 def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):

@@ -271,8 +271,16 @@ def found_at(sky, told) -> np.ndarray:
     return sky.pixel_of(*told["foot"]) * 2 * GSD
 
 
+@pytest.fixture
+def lettered(monkeypatch):
+    """What is written on the pictures."""
+    texts, write_on = [], files.write_on
+    monkeypatch.setattr(files, "write_on", lambda *a: (texts.append(a[2]), write_on(*a)))
+    return texts
+
+
 @pytest.mark.parametrize("name", SHOTS)
-def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
+def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name, lettered):
     done = run(*line(flight, tmp_path / "out", name, "--json"))
     assert done.returncode == 0, done.stderr
     (told,) = json.loads(done.stdout)["photos"]
@@ -285,6 +293,11 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {
         "located.json", "candidates.csv", "located.gpkg", "matches.jpg",
     }  # fmt: skip
+    photo, its_map, verdict = lettered
+    assert photo.startswith(f"photo {name}, ") and its_map == "map map.tif"
+    assert verdict.startswith(f"located: {told['inliers']} matches, {told['needed']} needed")
+    image = np.asarray(Image.open(tmp_path / "out" / "matches.jpg"))
+    assert image.shape == (files.MATCHES_PANEL + files.CAPTION, 2 * files.MATCHES_PANEL, 3)
     layers = {name for name, _ in pyogrio.list_layers(tmp_path / "out" / "located.gpkg")}
     assert layers == {"footprints", "cameras", "candidates"}
     _, _, geometry, _ = pyogrio.raw.read(tmp_path / "out" / "located.gpkg", layer="cameras")
@@ -408,9 +421,10 @@ def test_candidates_of_a_photo_whose_name_is_not_utf_8_are_written(tmp_path, mon
     assert rb"caf\udce9.jpg" in (tmp_path / "located.gpkg").read_bytes()
 
 
-def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path):
+def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path, lettered):
     done = run(*line(flight, tmp_path / "out", "down.png", "--heading", "200"))
     assert done.returncode == 3 and "not located: best candidate has" in done.stderr and "needed" in done.stderr
+    assert lettered[-1].startswith("not located: best candidate has")
     with (tmp_path / "out" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert 1 <= len(rows) <= 5 and int(rows[0]["inliers"]) < int(rows[0]["needed"])
@@ -660,6 +674,36 @@ def test_scale_errors_are_a_list_or_a_range():
     for text in ("a", "-1.5", "...,1", ""):
         with pytest.raises(UsageError, match="--scale-errors"):
             locating.scale_errors(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--scale-errors", "x"], 2, "--scale-errors x is not a list"),
+        (["--method", "dense"], 2, "--method dense needs"),
+        (["--satellite", "DAMAGED"], 5, "map.tif"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_refused_before_vehicles_are_looked_for(
+    sky, tmp_path, monkeypatch, words, code, said
+):
+    """They are looked for in thousands of photos."""
+
+    def looked(*_, **__):
+        raise AssertionError("vehicles were looked for")
+
+    def no_package():
+        raise UsageError("--method dense needs the package")
+
+    monkeypatch.setattr("orthoscale.photos.looking.boxes_of", looked)
+    monkeypatch.setattr("orthoscale.locate.dense.DenseFeatures", no_package)
+    write_photo(tmp_path / "a.jpg")
+    (tmp_path / "set.csv").write_text("image,altitude_m,longitude,latitude,pitch_deg\na.jpg,80,9.001,60.401,-90\n")
+    (tmp_path / "map.tif").write_bytes(sky.source.path.read_bytes()[:200])
+    words = [tmp_path / "map.tif" if word == "DAMAGED" else word for word in words]
+    given = [] if "--satellite" in words else ["--satellite", sky.source.path]
+    done = run("evaluate", tmp_path / "set.csv", "--focal-px", 600, "--locate", *given, *words)
+    assert done.returncode == code and said in done.stderr, done.stderr
 
 
 @pytest.mark.slow

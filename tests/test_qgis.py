@@ -85,11 +85,15 @@ def test_an_orthophoto_is_scaled_shown_and_built_upon(qgis, tmp_path):
     geometry = {"type": "Polygon", "coordinates": [corners]}
     lot = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": geometry}]}
     (tmp_path / "lot.geojson").write_text(json.dumps(lot))
-    place = {"INPUT": out, "LOT": tmp_path / "lot.geojson", "FACILITIES": "basketball", "OUTPUT": tmp_path / "layout"}
+    place = {"INPUT": out, "LOT": tmp_path / "lot.geojson", "OUTPUT": tmp_path / "layout"}
+    place["FACILITIES"] = "basketball football:2"  # there is no room for two pitches, which is a warning
     placed = qgis("layout", **place)
     assert "layername=facilities" in placed["AREAS"], placed
     facilities = json.loads((tmp_path / "layout/layout.json").read_text())
-    assert "basketball" in json.dumps(facilities)
+    assert "basketball" in json.dumps(facilities) and "football" in json.dumps(facilities["missing"])
+    place["FACILITIES"] = "football:9"
+    place["LOT"].write_text((tmp_path / "lot.geojson").read_text().replace(str(corners[2][0]), str(corners[0][0] + 9)))
+    assert "Nothing fits on the lot" in qgis("layout", **place)
 
 
 @needs_qgis

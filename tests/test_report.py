@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,13 +26,13 @@ from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
+from orthoscale.formats.lettering import HALO, in_ascii, write_on
 from orthoscale.formats.schemas.report import Report, ReportInput
 from orthoscale.report import charts, files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, of_plan, read_json
 from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
-from orthoscale.report.lettering import HALO, in_ascii, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
@@ -297,6 +298,17 @@ def test_names_from_outside_stay_text(tmp_path):
     car_park(tmp_path, name)
     text = fixed(tmp_path, name).read_text()
     assert "<img" not in text and "&lt;img src=x onerror=alert(1)&gt;.png" in text
+
+
+@pytest.mark.parametrize("reach", [0.02, 0.046, 0.0999, 0.1, 0.19, 0.25, 0.36, 0.42, 0.5])
+@pytest.mark.parametrize("name", ["widths only", "zebra crossing", "shipping container"])
+def test_labels_of_an_axis_stay_apart(reach, name):
+    rows = [charts.ChartRow(name, 0.0, (-reach, reach))]
+    chart = str(charts.estimates(rows, (-reach, reach), ""))
+    labels = [(float(x), text) for x, text in re.findall(r'<text x="([0-9.]+)"[^>]*>([^<]*)</text>', chart)[1:]]
+    assert labels[len(labels) // 2][1] == "0" and len(labels) in (3, 5, 7, 9)
+    for (x, text), (x_next, text_next) in pairwise(labels):
+        assert x_next - x > charts.LETTER * (len(text) + len(text_next)) / 2, (text, text_next)
 
 
 def test_a_drift_across_the_picture_is_seen(tmp_path, report):

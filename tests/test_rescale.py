@@ -809,6 +809,17 @@ def test_damaged_json(tmp_path, text):
 # --- Dense workspaces and models -------------------------------------------------------------------------------------
 
 
+def test_a_dense_workspace_of_an_undistorter_alone_is_told_as_such(tmp_path):
+    """Before COLMAP's stereo: "0 depth maps ... converted" reads as a failure."""
+    source = dense_workspace(tmp_path / "dense")
+    for path in (*source.glob("stereo/depth_maps/*"), *source.glob("*.ply")):
+        path.unlink()
+    (tmp_path / "out").mkdir()
+    (said,) = scale_path(source, tmp_path / "out", SCALE)
+    assert "its undistorted model converted to metres; there is no depth map" in said
+    assert (tmp_path / "out" / "sparse" / "points3D.bin").is_file()
+
+
 def test_dense_workspace(tmp_path):
     import pycolmap
 

@@ -119,15 +119,19 @@ def measured(
     request: EstimateRequest,
     progress: Progress | None = None,
     on_boxes: OnBoxes | None = None,
+    on_open: Callable[[Source], None] | None = None,
 ) -> Result:
     """Measure the input at `path` as `request` says; see `estimate`.
 
-    on_boxes : called as soon as boxes are found, also if these give no scale.
+    on_boxes : called as soon as boxes are found, also if these give no scale. on_open : called with the source as soon
+    as it is open, and may refuse it.
     """
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
     source, fleet = asked.source, asked.fleet
+    if on_open is not None:
+        on_open(source)
     method = Method(
         request.projection,
         request.estimator,

@@ -141,6 +141,7 @@ def _begin(
         )
     main, parts = writer.places(outputs)
     boxes = KeptBoxes(outputs, save_detections)
+    boxes.check(source)
     outputs.protect(*source.files, *writer.more_inputs)
     return _Begun(source, writer, main, parts, boxes)
 

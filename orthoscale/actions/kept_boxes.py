@@ -9,7 +9,7 @@ from pathlib import Path
 from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..formats.detections import output_of, save
+from ..formats.detections import check_pictures, output_of, save
 from ..system.outputs import Outputs
 
 NO_SCALE = (TooLittleEvidence, EvidenceDisagrees)
@@ -28,6 +28,11 @@ class KeptBoxes:
         self._outputs = outputs
         self._found: Detections | None = None
         self._source: Source | None = None
+
+    def check(self, source: Source) -> None:
+        """Raise UsageError if the file cannot hold boxes of `source`: before these are searched for."""
+        if self.path is not None:
+            check_pictures(self.path, source)
 
     def take(self, found: Detections, source: Source) -> None:
         """Remember the boxes `found` in `source`, instead of earlier ones."""

@@ -7,13 +7,13 @@ from pathlib import Path
 from ..core.claims import METRIC, NOT_TOLD, figure, metric_reason
 from ..core.source import Source
 from ..formats.detections import load as load_detections
-from ..formats.detections import output_of
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import Outputs
 from .boxes import detector_of
 from .check import require_claim
 from .find import measurer_of
 from .fix import rehearsed
+from .kept_boxes import KeptBoxes
 from .opening import opened
 
 
@@ -55,7 +55,7 @@ def rehearsal(
         places = rehearsed(path, out, request, save_detections)
     else:
         with Outputs(overwrite, (path, request.inputs), dry_run=True) as outputs:
-            output_of(outputs, save_detections)
+            KeptBoxes(outputs, save_detections).check(source)
             outputs.protect(*source.files)
         places = outputs.places
     rows += [("to write", str(place)) for place in places]

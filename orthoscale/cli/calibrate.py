@@ -27,6 +27,11 @@ from .options import (
 # Options that contradict a known scale, or the detection at three resampling factors; `fleet` has its own option.
 NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 
+NO_MEASURER = (
+    "with this file the built-in detector's own boxes count, without the measurer: "
+    "at other places the scale is usually less certain than without it"
+)
+
 
 @command(
     epilog="\b\nExamples:\n  orthoscale calibrate survey.tif --fleet DE --out ruler.json\n"
@@ -79,6 +84,8 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
         )
     lines.append(f"vehicles   {made['vehicles']}, at {made['gsd_m']:.4g} m/px, against fleet {made['fleet']}")
     lines += [f"note       {note}" for note in made["notes"]]
+    if options["detector"] is None:
+        lines.append(f"note       {NO_MEASURER}")
     if out is not None:
         lines.append(f"written    {out}")
     say("\n".join(lines))

@@ -102,6 +102,7 @@ def check(
         boxes = KeptBoxes(outputs, save_detections)
         source = source_of(path, request, request.needs_pictures, progress)
         outputs.protect(*source.files)
+        boxes.check(source)
         with boxes.also_without_scale():
             outcome = checked(source, request, progress, boxes.take)
         boxes.take(outcome.result.detections, source)

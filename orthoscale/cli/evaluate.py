@@ -28,9 +28,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..core.detections import Detections
-    from ..core.fleet import Fleet
-    from ..core.progress import Progress
+    from ..evaluate.locating import Search
     from ..evaluate.readers import Sample
 
 
@@ -112,7 +110,6 @@ def evaluate(
     wrong ones; their places come from Dense_GPS_*.txt, the CSV's longitude and latitude, or GPS tags.
     """
     from ..evaluate import report
-    from ..formats.detections import output_of
     from ..photos import looking as boxes
     from ..photos.depth.maps import Depths
     from ..photos.tables import check_ending
@@ -126,25 +123,28 @@ def evaluate(
         for output in outputs:
             check_ending(output, (".json", ".csv"))
         partials = [files.file(output, report.known(output, locate)) for output in outputs]
-        saved = output_of(files, save_detections)
+        saved = boxes.PhotoBoxes(files, save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
+        saved.check(photos)
+        search = None
+        if satellite is not None:
+            search, more = _search(path, samples, satellite, method, scale_errors)
+            notes = [*notes, *more]
         depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, ruler, progress)
         notes += found.notes
-        if saved is not None:  # saved at once, as they are most worth inspecting if they are too few
-            boxes.save_boxes(found, saved, photos)
-            files.deliver(saved)
-        if satellite is None:
+        saved.keep(found, photos)
+        if search is None:
             text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
             shown = report.tables(text, outputs)
         else:
-            from ..evaluate.locating import table
+            from ..evaluate import locating
 
-            text = _located(path, samples, found, ruler, satellite, method, scale_errors, notes, progress)
-            shown = "\n".join([table(text), *(f"written    {output}" for output in outputs)])
+            text = locating.document(search, found, ruler, notes, progress)
+            shown = "\n".join([locating.table(text), *(f"written    {output}" for output in outputs)])
         for partial in partials:
             report.write(text, partial)
     echo(json_in_utf8(text)) if as_json else say(shown)
@@ -163,17 +163,10 @@ def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **mo
             raise UsageError(f"--{name.replace('_', '-')} does nothing without --locate", "Add --locate.")
 
 
-def _located(
-    path: Path,
-    samples: Sequence[Sample],
-    found: Detections,
-    ruler: Fleet,
-    satellite: Path,
-    method: str | None,
-    errors: str | None,
-    notes: Sequence[str],
-    progress: Progress | None,
-) -> dict[str, Any]:
+def _search(
+    path: Path, samples: Sequence[Sample], satellite: Path, method: str | None, errors: str | None
+) -> tuple[Search, list[str]]:
+    """What --locate searches for, and notes on its places."""
     from ..actions.locate import LocateRequest
     from ..evaluate import locating
     from ..evaluate.places import placed
@@ -181,6 +174,5 @@ def _located(
 
     wrong = [] if errors is None else locating.scale_errors(errors)
     request = LocateRequest(method=method or "auto")
-    known, more = placed(path, samples)
-    sky = Satellite.open(satellite)
-    return locating.document(known, found, ruler, sky, request, wrong, [*notes, *more], progress)
+    known, notes = placed(path, samples)
+    return locating.Search.of(known, Satellite.open(satellite), request, wrong), list(notes)

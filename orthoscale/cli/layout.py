@@ -10,7 +10,6 @@ import click
 from ..formats.names import json_in_utf8
 from ..system.printing import echo
 from .options import (
-    CONVERTING,
     PATH,
     command,
     debug_option,
@@ -22,6 +21,10 @@ from .options import (
     say,
 )
 
+PLACING = """\b
+Exit codes: 0 done; 2 usage; 3 not all facilities fit (the others are placed);
+5 input unreadable or damaged; 6 output could not be written."""
+
 
 @command(
     epilog="\b\nExamples:\n"
@@ -29,7 +32,7 @@ from .options import (
     "  orthoscale layout scaled.tif --lot lot.gpkg --avoid trees.gpkg \\\n"
     "      --facility parking-DE:24 --facility basketball --out layout/\n"
     "  orthoscale layout scaled.tif --lot lot.gpkg --facility pool25@120,80,90 \\\n      --out layout/\n"
-    "  orthoscale layout --list\n\n" + CONVERTING
+    "  orthoscale layout --list\n\n" + PLACING
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)
 @option("--lot", type=PATH, group="Input", help="Polygon to build on: GeoJSON, GeoPackage, Shapefile ...")
@@ -83,11 +86,11 @@ def layout(
     """Place courts, pitches and parking on an orthophoto in metres.
 
     Facilities lie inside the lot and clear of each other, courts and pitches north to south where possible. What
-    does not fit is reported with the missing metres. OUT gets the layout as GeoPackage, GeoJSON, DXF and JSON; a
-    mask and a line drawing on the orthophoto's own grid, as the conditioning image of a generative renderer, with a
-    prompt; and a picture.
+    does not fit is reported with the missing metres, and the exit code is 3. OUT gets the layout as GeoPackage,
+    GeoJSON, DXF and JSON; a mask and a line drawing on the orthophoto's own grid, as the conditioning image of a
+    generative renderer, with a prompt; and a picture.
     """
-    from ..errors import UsageError
+    from ..errors import TooLittleRoom, UsageError
     from ..layout import export
     from ..layout import plan as planning
     from ..layout.terminal import catalogue_table, catalogue_values, summary
@@ -116,7 +119,7 @@ def layout(
             lot_pixels=lot_pixels,
         )
         if not made.placed:
-            raise UsageError(
+            raise TooLittleRoom(
                 "nothing fits: " + "; ".join(dict.fromkeys(m.sentence() for m in made.missing)),
                 "Nothing was written. Give a larger lot, smaller facilities, or less --clearance.",
             )
@@ -124,3 +127,9 @@ def layout(
         if folder is not None:
             export.write(made, folder)
     echo(json_in_utf8(planning.document(made))) if as_json else say(summary(made, out))
+    if made.missing:  # after the layout is written and printed; the exit code keeps scripts from taking it for complete
+        count, names = len(made.missing), ", ".join(dict.fromkeys(m.facility.code for m in made.missing))
+        raise TooLittleRoom(
+            f"{count} of {count + len(made.placed)} facilities {'does' if count == 1 else 'do'} not fit: {names}",
+            "Only the others are placed. Give a larger lot, fewer or smaller facilities, or less --clearance.",
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +27,7 @@ from .options import (
 from .photo_options import lens_options
 
 if TYPE_CHECKING:
-    from ..core.detections import Detections
-    from ..photos.measure import GivenCamera, Photo
-    from ..system.outputs import Outputs
+    from ..photos.measure import GivenCamera
 
 
 @command(
@@ -73,9 +70,8 @@ def photo(
     nadir view, its altitude above the ground where the vehicles stand, the mean ground sampling distance and the
     footprint, each with a 90 % interval. The ground is assumed level.
     """
-    from ..formats.detections import output_of
     from ..photos import survey, tables
-    from ..photos.looking import Looking
+    from ..photos.looking import Looking, PhotoBoxes
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
@@ -84,9 +80,8 @@ def photo(
         for path in outputs:
             tables.check_ending(path)
         partials = [files.file(path, tables.known(path)) for path in outputs]
-        saved = output_of(files, save_detections)
-        on_boxes = None if saved is None else _keeper(files, saved)
-        made = survey.surveyed(paths, how, together, progress, on_boxes, **lens)
+        boxes = PhotoBoxes(files, save_detections)
+        made = survey.surveyed(paths, how, together, progress, boxes, **lens)
         outcomes, pooled = made.outcomes, made.together
         text = made.to_dict()
         for partial in partials:
@@ -97,15 +92,3 @@ def photo(
         from ..photos.terminal import summary
 
         say(summary(outcomes, text, pooled, outputs))
-
-
-def _keeper(files: Outputs, saved: Path) -> Callable[[Detections, Sequence[Photo]], None]:
-    """A function that writes the boxes to `saved`, one of the outputs `files`, and delivers them at once: they are most
-    worth inspecting if they are too few."""
-    from ..photos.looking import save_boxes
-
-    def keep(found: Detections, photos: Sequence[Photo]) -> None:
-        save_boxes(found, saved, photos)
-        files.deliver(saved)
-
-    return keep

@@ -82,7 +82,7 @@ def estimate(
         else:
             boxes = KeptBoxes(outputs, save_detections)
             with boxes.also_without_scale():
-                result = pipeline.noted(pipeline.measured(path, request, progress, boxes.take))
+                result = pipeline.noted(pipeline.measured(path, request, progress, boxes.take, boxes.check))
             boxes.take(result.detections, result.source)
             boxes.save()
     if models:

@@ -182,12 +182,17 @@ class Support:
 
     compared : each piece that counts, compared with all the rest; empty in a conflict. unproven : what undocumented
     evidence takes off the scale's one sigma, in quadrature. conflicts : the figures of each pair of measurements that
-    contradict each other.
+    contradict each other, those furthest apart first.
     """
 
     compared: tuple[Compared, ...] = ()
     unproven: float = 0.0
     conflicts: tuple[str, ...] = ()
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """The sentence of each conflict."""
+        return tuple(f"conflict: {figures}" for figures in self.conflicts)
 
     @property
     def doubted(self) -> bool:
@@ -242,9 +247,9 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     posterior, summary = _spanning([p for _, p in every], surest)
     told = tuple(e.meant(before) for e in evidence)
     whose = Remark(CAUTION, f"the scale is that of the most certain side alone, {name}; the interval covers all")
-    refusals = [Remark(REFUSAL, f"conflict: {figures}", _hint(vehicles, strong)) for figures in conflicts]
-    remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
+    refusals = [Remark(REFUSAL, text, _hint(vehicles, strong)) for text in support.refusals]
+    remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     return Combined(posterior, parts, conflict, remarks, summary, told, support)
 
 
@@ -263,7 +268,8 @@ def _anything(evidence: Sequence[Evidence]) -> Posterior:
 
 def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[str]]:
     """Sigmas between the two measurements that contradict each other most, 0 where none do; and the figures of each
-    pair that does. Two pieces of evidence are compared by the errors that they do not share.
+    pair that does, those furthest apart first. Two pieces of evidence are compared by the errors that they do not
+    share.
 
     Among many pairs some are far apart by chance, so the probability of a false contradiction is divided among them
     (Bonferroni).
@@ -273,13 +279,12 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
         found = Posterior.normal(vehicles.centre, vehicles.spread)
         pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
     limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
-    worst, figures = 0.0, list[str]()
-    for name, sigmas, here, there, other_name in pairs:
-        if sigmas > limit:
-            worst = max(worst, sigmas)
-            these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
-            figures.append(f"{these}, {sigmas:.1f} sigmas apart")
-    return worst, figures
+    apart = sorted((pair for pair in pairs if pair[1] > limit), key=lambda pair: -pair[1])
+    figures = [
+        f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}, {sigmas:.1f} sigmas apart"
+        for name, sigmas, here, there, other_name in apart
+    ]
+    return (apart[0][1] if apart else 0.0), figures
 
 
 def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior, tuple[float, float, float]]:

@@ -14,7 +14,9 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..errors import TooLittleEvidence, UsageError
 from ..locate.claimed import BY_VEHICLES, BY_WORD, ClaimedScale
+from ..locate.features import Features
 from ..locate.outcome import foot
+from ..locate.register import PlaceFinder
 from ..photos.measure import Interval90, measure
 from ..sources.satellite import Satellite
 from ..version import __version__
@@ -35,6 +37,34 @@ class LocateTrial:
     photo: str
     error: float
     answered: bool
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is searched for, where and how, all checked before the photos' vehicles are looked for, which takes long.
+
+    errors : of the true scale, with which each photo is searched too. prior : see `LocateRequest.prior_on`. method : by
+    which `finder` and `features` work. notes : for the user.
+    """
+
+    samples: Sequence[PlacedSample]
+    satellite: Satellite
+    request: LocateRequest
+    errors: Sequence[float]
+    prior: tuple[float, float, float] | None
+    method: str
+    finder: PlaceFinder | None
+    features: Features
+    notes: Sequence[str]
+
+    @classmethod
+    def of(
+        cls, samples: Sequence[PlacedSample], satellite: Satellite, request: LocateRequest, errors: Sequence[float]
+    ) -> Search:
+        """A search for `samples` as `request` says. Raises UsageError, InputError."""
+        method, finder, notes = finder_for(request)
+        prior, features = request.prior_on(satellite), features_for(method)
+        return cls(samples, satellite, request, errors, prior, method, finder, features, notes)
 
 
 def scale_errors(text: str) -> list[float]:
@@ -74,34 +104,26 @@ def estimated_scale(placed: PlacedSample, found: Detections, fleet: Fleet) -> Cl
 
 
 def document(
-    samples: Sequence[PlacedSample],
+    search: Search,
     found: Detections,
     fleet: Fleet,
-    satellite: Satellite,
-    request: LocateRequest,
-    errors: Sequence[float],
     notes: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Success with the vehicles' scale, with the true one, and with `errors` of the true one, as plain values.
-
-    Raises UsageError, InputError.
-    """
-    method, finder, more = finder_for(request)
-    features = features_for(method)
-    prior = request.prior_on(satellite)
+    """Success with the vehicles' scale, with the true one, and with errors of the true one, as plain values."""
+    samples = search.samples
     estimated = [estimated_scale(each, found, fleet) for each in samples]
     trials: dict[str, list[tuple[PlacedSample, ClaimedScale]]] = {
         ESTIMATED: [(s, e) for s, e in zip(samples, estimated, strict=True) if e is not None],
         TRUE: [(s, true_scale(s)) for s in samples],
     }
-    trials |= {f"{error:+g}": [(s, true_scale(s).times(1 + error)) for s in samples] for error in errors}
+    trials |= {f"{error:+g}": [(s, true_scale(s).times(1 + error)) for s in samples] for error in search.errors}
     total, done = sum(map(len, trials.values())), 0
     rows, lines = [], []
     for name, some in trials.items():
         results = []
         for each, claimed in some:
-            outcome = searched(claimed, satellite, features, request, prior, finder)
+            outcome = searched(claimed, search.satellite, search.features, search.request, search.prior, search.finder)
             results.append(_found(each, outcome))
             done += 1
             if progress:
@@ -111,15 +133,15 @@ def document(
     ratios = [e.gsd.value / true_scale(s).gsd.value for s, e in zip(samples, estimated, strict=True) if e is not None]
     return {
         "photos": len(samples),
-        "satellite": str(satellite.source.path),
-        "method": method,
+        "satellite": str(search.satellite.source.path),
+        "method": search.method,
         "fleet": fleet.code,
         "near_m": NEAR_M,
         "far_m": FAR_M,
         "used_ratio": len(ratios) / len(samples),
         "estimated_over_true": None if not ratios else [float(q) for q in np.percentile(ratios, [5, 50, 95])],
         "success": lines,
-        "notes": [*notes, *more],
+        "notes": [*notes, *search.notes],
         "version": __version__,
         "rows": [row | {"error": None if np.isinf(row["error"]) else round(row["error"], 2)} for row in rows],
     }

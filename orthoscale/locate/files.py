@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from ..formats.csv_table import write_csv
+from ..formats.lettering import write_on
 from ..formats.names import json_in_utf8
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
@@ -21,8 +22,12 @@ CANDIDATE_COLUMNS = (
     "heading_deg", "scale",
 )  # fmt: skip
 MATCHES_PANEL = 800  # [px] side of each of the two pictures of matches.jpg
+CAPTION = 64  # [px] height of the lettering above them
+LETTERS = 20  # [px]
+LONGEST_NAME = 40  # letters of a file's name that are shown
 LINES_DRAWN = 120  # matches that are drawn
 FOUND_COLOUR, NOT_FOUND_COLOUR, MATCHES_QUALITY = (60, 220, 60), (230, 60, 40), 90
+INK = {FOUND_COLOUR: (0, 110, 0), NOT_FOUND_COLOUR: (190, 20, 10)}  # of lettering on white, dark enough to be read
 
 
 def write(
@@ -64,8 +69,9 @@ def write_places(
 
 
 def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:
-    """(H, 2 H, 3) uint8 RGB: the levelled photo left, the map around the best candidate right, and lines between
-    matches; green if the photo was located, else red."""
+    """(H + CAPTION, 2 H, 3) uint8 RGB: the levelled photo left, the map around the best candidate right, and lines
+    between matches; green if the photo was located, else red. Above them what they are, and whether that is the place.
+    """
     assert outcome.registration is not None and outcome.claimed is not None
     best = outcome.registration.candidates[0]
     seen = outcome.claimed.levelled
@@ -92,7 +98,25 @@ def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:
         cv2.line(picture, start, end, colour, 1, cv2.LINE_AA)
         for place in (start, end):
             cv2.circle(picture, place, 3, colour, -1, cv2.LINE_AA)
-    return picture
+    head = np.full((CAPTION, picture.shape[1], 3), 255, np.uint8)
+    write_on(head, (8, LETTERS + 4), f"photo {_short(outcome.name)}, seen from straight above", LETTERS)
+    write_on(head, (MATCHES_PANEL + 8, LETTERS + 4), f"map {_short(source.path.name)}", LETTERS)
+    write_on(head, (8, CAPTION - 10), _verdict(outcome, step == 1), LETTERS, INK[colour])
+    return np.vstack([head, picture])
+
+
+def _verdict(outcome: LocateOutcome, all_drawn: bool) -> str:
+    """Whether the photo was located, and by how many matches; whether these are all drawn."""
+    registration = outcome.registration
+    assert registration is not None
+    some = "" if all_drawn else "; not all are drawn"
+    if outcome.located is None:
+        return f"not located: {registration.problem}; drawn are those of the best one{some}"
+    return f"located: {outcome.located.inliers} matches, {registration.needed} needed{some}"
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 3]}..."
 
 
 def _fitted(pixels: np.ndarray) -> tuple[np.ndarray, tuple[float, np.ndarray]]:

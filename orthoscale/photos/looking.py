@@ -19,6 +19,7 @@ from ..requests import PhotoRequest
 from ..sources.country import fleet_at, named_fleet
 from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
+from ..system.outputs import Outputs
 from .measure import Photo
 
 WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why options of measuring do nothing
@@ -112,6 +113,30 @@ def _detected(
     if path is not None or calibration is not None:
         return found
     return remeasured([photo.picture for photo in photos], found, Measurer(), effort, progress, MOST_IN_FRAMES)
+
+
+class PhotoBoxes:
+    """The file at `path` in which the boxes of photos are saved; None saves none. `outputs` : to which it is added.
+    Raises UsageError, OutputError."""
+
+    def __init__(self, outputs: Outputs, path: Path | None) -> None:
+        from ..formats.detections import output_of
+
+        self._path, self._outputs = path, outputs
+        self._partial = output_of(outputs, path)
+
+    def check(self, photos: Sequence[Photo]) -> None:
+        """Raise UsageError if the file cannot hold boxes of `photos`: before these are searched for."""
+        from ..formats.detections import check_pictures
+
+        if self._path is not None:
+            check_pictures(self._path, Album(photos))
+
+    def keep(self, found: Detections, photos: Sequence[Photo]) -> None:
+        """Save `found` at once: boxes are most worth inspecting if they are too few. Raises UsageError, OSError."""
+        if self._partial is not None:
+            save_boxes(found, self._partial, photos)
+            self._outputs.deliver(self._partial)
 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from ..option import number
 from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
-from .looking import Looking, boxes_of
+from .looking import Looking, PhotoBoxes, boxes_of
 from .measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
 
@@ -96,20 +96,22 @@ def surveyed(
     how: Looking,
     together: bool = False,
     progress: Progress | None = None,
-    on_boxes: Callable[[Detections, Sequence[Photo]], None] | None = None,
+    boxes: PhotoBoxes | None = None,
     **lens: Unpack[GivenCamera],
 ) -> Survey:
     """Measure the photos at `paths` as `how` requests. See `photo`.
 
-    on_boxes : called with the boxes as soon as they are found, whether or not they are enough for a scale.
+    boxes : the file in which they are saved as soon as they are found, whether or not they are enough for a scale.
     """
     given = find_photos(paths)
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
+    if boxes is not None:
+        boxes.check(photos)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, fleet, progress)
-    if on_boxes is not None:
-        on_boxes(found, photos)
+    if boxes is not None:
+        boxes.keep(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
     if depths is not None:
         outcomes = compared(outcomes, depths, found)

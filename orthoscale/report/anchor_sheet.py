@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..core.source import Source
+from ..formats.lettering import write_on
 from ..formats.pictures import write_png
 from ..system.paths import title_of
-from .lettering import write_on
 from .pictures import SHEET_WIDTH, drawn
 from .scene import Panel, anchor_panels, pictures_of
 

@@ -18,6 +18,7 @@ from .places import LocalFrameScale, LocalRegionScale, in_percent
 
 CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that letters of size 12 stay readable
 LETTER = 6.8  # width of a letter, about
+TICK_WIDTH = 6 * LETTER + 6  # of a label such as "+20 %", with the gap to the next one
 BARS = 18  # number of a histogram's bars, about
 BADGE = (40.0, 30.0)  # smallest size of a region's box, for its figures
 FULL_COLOUR = 3.0  # deviation at which a region has its full colour [sigmas]
@@ -106,7 +107,7 @@ def estimates(rows: Sequence[ChartRow], band: tuple[float, float], label: str) -
         if row.value:
             parts.append(_text(CHART_WIDTH, y + 4, signed(row.value), anchor="end", class_=kind))
     parts.append(_line(left, bottom, right, bottom))
-    for value in _ticks(reach):
+    for value in _ticks(reach, most=(right - left) / TICK_WIDTH):
         parts.append(_line(px(value), bottom, px(value), bottom + 4))
         parts.append(_text(px(value), bottom + 17, _tick(value)))
     return _svg(bottom + 22, parts, label)
@@ -180,9 +181,10 @@ def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
     return _svg(top + height + 22, parts, label)
 
 
-def _ticks(reach: float) -> np.ndarray:
-    """Round numbers from -`reach` to `reach`, three to five of them."""
+def _ticks(reach: float, most: float = np.inf) -> np.ndarray:
+    """Round numbers from -`reach` to `reach`, three to five of them; three where that is more than `most`."""
     step = round_below(reach)
+    step *= np.floor(reach / step) if 2 * reach / step > most else 1
     return np.arange(np.ceil(-reach / step), np.floor(reach / step) + 1) * step
 
 

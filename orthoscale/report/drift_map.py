@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from ..core.normal import Z90
+from ..formats.lettering import BLACK, WHITE, text_width, write_on
 from .charts import strength
-from .lettering import BLACK, WHITE, text_width, write_on
 from .places import in_percent
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])

@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..formats.lettering import BLACK, WHITE, write_on
 from ..formats.pictures import write_png
 from ..system.paths import title_of
 from .drift_map import drift_panel, regions_panel
-from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, ReportPictures
 from .wording import quantity
 

@@ -63,9 +63,11 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     weight = sd**2 / (sd**2 + by_lens**2)
     ratio = float(np.exp(weight * np.median(log_ratio)))
     name, lens, has = told[0]
+    moved = f"{100 * abs(ratio - 1):.0f} % {'higher' if ratio > 1 else 'lower'}"
+    where = f"assumed {moved}" if abs(ratio - 1) >= 0.005 else "left where they are"
     what += (
-        f"; cameras are assumed {100 * abs(ratio - 1):.0f} % {'higher' if ratio > 1 else 'lower'}, since the focal "
-        f"length of {name} is {lens.focal_px:.0f} px ({lens.source}), and {has:.0f} px in the model"
+        f"; cameras are {where}, since the focal length of {name} is {lens.focal_px:.0f} px ({lens.source}), and "
+        f"{has:.0f} px in the model"
     )
     return FocalDoubt(ratio, sd * by_lens / float(np.hypot(sd, by_lens)), what)
 

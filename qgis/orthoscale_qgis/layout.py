@@ -16,7 +16,7 @@ from qgis.core import (
     QgsVectorFileWriter,
 )
 
-from .program import OrthoscaleAlgorithm, run
+from .program import TOO_LITTLE, OrthoscaleAlgorithm, run
 
 
 class Layout(OrthoscaleAlgorithm):
@@ -79,7 +79,8 @@ class Layout(OrthoscaleAlgorithm):
                 words += ["--scale-error", str(self.parameterAsDouble(parameters, self.ERROR, context))]
             if os.path.isdir(out) and not os.listdir(out):
                 os.rmdir(out)  # QGIS makes it; the program wants to make it itself
-            run([*words, "--overwrite"], feedback)
+            if run([*words, "--overwrite"], feedback, (TOO_LITTLE,)) is None:  # that some do not fit is a warning
+                raise QgsProcessingException("Nothing fits on the lot, and nothing was written")
         package = os.path.join(out, "layout.gpkg")
         for name in ("lines", "facilities"):
             details = QgsProcessingContext.LayerDetails(f"Layout: {name}", context.project(), name)

@@ -20,7 +20,7 @@ from qgis.core import (
 SETTING = "ORTHOSCALE_PROGRAM"
 DEFAULT = "orthoscale"
 DISAGREES = 4  # exit code where evidence disagrees: a result of `check`, an error elsewhere
-TOO_LITTLE = 3  # exit code where the evidence is too little for a scale
+TOO_LITTLE = 3  # exit code where the evidence is too little for a scale, or the lot for what is to be placed
 QGIS_PYTHON = ("PYTHONHOME", "PYTHONPATH")  # of QGIS's own Python, which is not the program's
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
 from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
+from ..scale import Scale
 from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
 from .measurement import Measurement
@@ -33,12 +34,18 @@ def judgements(
     """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames, _parts)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
-    # The checks `_places`, `_frames` and `_parts` state the drift and the parts' scales, which are not repeated.
-    told = [] if measured.drift is None else list(measured.drift.warnings)
+    # Not repeated: what the checks `_evidence`, `_places`, `_frames` and `_parts` state.
+    told = [*measured.scale.support.refusals, *(() if measured.drift is None else measured.drift.warnings)]
     told += [] if measured.parts is None else [measured.parts.contradiction]
     remarks = measured.remarks if remarks is None else remarks
     said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
     return by_severity([*found, *_largest(measured), *(Judgement(r.severity, "Remark", r.text) for r in said)])
+
+
+def _small(scale: Scale) -> float:
+    """Relative difference up to which a check supports `scale`. In a conflict the interval spans what contradicts, and
+    is no measure of what the vehicles can tell."""
+    return ROUGH if scale.conflict else max(scale.half_width, ROUGH)
 
 
 def _vehicles(measured: Measurement) -> Judgement:
@@ -63,7 +70,7 @@ def _shapes(measured: Measurement) -> Judgement | None:
     if scale.tension > CHECK_LIMIT:
         severity = REFUSAL if scale.tension > SHAPE_LIMIT else CAUTION
         return Judgement(severity, "Lengths and widths disagree", detail)
-    if abs(difference) > max(scale.half_width, ROUGH):
+    if abs(difference) > _small(scale):
         return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
     if SQUEEZE in scale.parts:  # both are wrong, in opposite directions along x and along y
         return Judgement(INFO, "Lengths and widths agree only on average over all directions", detail)
@@ -93,7 +100,7 @@ def _evidence(measured: Measurement) -> Judgement | None:
     detail = f"against everything else: {kinds}"
     if any(one.doubtful for one in compared):
         return Judgement(CAUTION, "Other evidence is doubtful", detail)
-    if max(abs(one.difference) for one in compared) > max(scale.half_width, ROUGH):
+    if max(abs(one.difference) for one in compared) > _small(scale):
         return Judgement(INFO, "Other evidence differs within its uncertainty", detail)
     return Judgement(SUPPORT, "Other evidence agrees", detail)
 
@@ -114,7 +121,7 @@ def _places(measured: Measurement) -> Judgement | None:
     if drift.drifts:
         refused = any(r.severity == REFUSAL and r.text in drift.warnings for r in measured.remarks)
         return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", f"{drift.trend.figures}, significant")
-    if drift.trend.tilt > max(measured.scale.half_width, ROUGH):
+    if drift.trend.tilt > _small(measured.scale):
         return Judgement(INFO, "Drift neither found nor excluded", drift.trend.figures)
     return Judgement(SUPPORT, "No drift", f"{drift.trend.figures}, not significant")
 
@@ -144,6 +151,6 @@ def _parts(measured: Measurement) -> Judgement | None:
         return None
     if parts.contradict:
         return Judgement(REFUSAL, "Parts have different scales", parts.said)
-    if parts.difference > max(measured.scale.half_width, ROUGH):
+    if parts.difference > _small(measured.scale):
         return Judgement(INFO, "Parts differ within their uncertainty", parts.said)
     return Judgement(SUPPORT, "Parts that share no point agree", parts.said)

@@ -53,15 +53,22 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     return items
 
 
+def check_names(pictures: Sequence[str]) -> None:
+    """Raise UsageError if one of the names of `pictures` has a space, which ends a name in a results file."""
+    for picture in pictures:
+        if any(c.isspace() for c in short_name(picture, pictures)):
+            raise UsageError(
+                f"DOTA's text cannot hold the picture name {shown(picture)!r}, which has a space",
+                "Save as .json instead.",
+            )
+
+
 def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> None:
     """Write a results file, which keeps scores and picture names. Raises UsageError for names with spaces."""
+    check_names(list(boxes))
     lines = [f"imagesource:{signature(path)}"]
     for picture, found in boxes.items():
         name = short_name(picture, pictures)
-        if any(c.isspace() for c in name):
-            raise UsageError(
-                f"DOTA's text cannot hold the picture name {name!r}, which has a space", "Save as .json instead."
-            )
         for corners, score in zip(found.corners, found.score, strict=True):
             lines.append(f"{name} {score:.4f} " + " ".join(f"{v:.3f}" for v in corners.ravel()))
     path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")

@@ -41,6 +41,13 @@ def check_name(path: Path) -> None:
         raise UsageError(f"{path.name}: not an ending of a detections format", f"Known: {known}.")
 
 
+def check_pictures(path: Path, source: Pictures) -> None:
+    """Raise UsageError if the format that the ending of `path` names cannot hold the boxes of the pictures of `source`,
+    by their names."""
+    if path.suffix.lower() == ".txt":
+        dota.check_names(source.picture_names)
+
+
 def output_of(outputs: Outputs, path: Path | None) -> Path | None:
     """The temporary path at which to write the boxes that are to be saved at `path`, which is added to `outputs`; None
     if none are to be saved. Raises UsageError, OutputError."""
@@ -59,11 +66,10 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     """
     check_name(path)
     suffix = path.suffix.lower()
-    if suffix == ".txt":
-        dota.write(path, found.boxes, source.picture_names)
-        return
     found = found.renamed(in_utf8)
-    if suffix == ".gpkg":
+    if suffix == ".txt":
+        dota.write(path, found.boxes, [in_utf8(name) for name in source.picture_names])
+    elif suffix == ".gpkg":
         geo.write_geopackage(path, found.boxes, _place(source), note(found))
     elif suffix == ".geojson":
         _write(geo.geojson(found.boxes, _place(source), note(found)), path)

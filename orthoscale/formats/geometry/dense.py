@@ -107,7 +107,12 @@ def scale_dense(
         out = target / folder.relative_to(source)
         out.mkdir(parents=True, exist_ok=True)
         model(folder, out)
-    notes = [f"{source}: {scaled} depth maps, clouds and meshes converted to metres too"]
+    notes = [
+        f"{source}: {scaled} depth {'map, cloud or mesh' if scaled == 1 else 'maps, clouds and meshes'} converted to "
+        "metres too"
+        if scaled
+        else f"{source}: its undistorted model converted to metres; there is no depth map, cloud or mesh in it"
+    ]
     if left:
         notes.append(f"left in {source}, because not in metres: {first_few(left, MOST_LEFT_NAMED)}")
     if passed := sorted(_passed_over(source)):
