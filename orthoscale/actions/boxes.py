@@ -50,6 +50,7 @@ def boxes_of(
     else:
         found, choice = _looked_for(asked, request, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
+    found = found.made_on({name: asked.source.image_size(name) for name in asked.source.picture_names})
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
         found = asked.calibration.applied(found, Path(str(request.calibration)))

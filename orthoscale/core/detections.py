@@ -60,6 +60,7 @@ class Detections:
     doubtful : boxes that only one detection pass finds, or both with low confidence (UNCONFIRMED), by picture name.
     set_aside : boxes that both passes find but that do not count, by the reason and picture name.
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
+    sizes : width and height of the pictures on which the boxes were made [px], where they are known.
     body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     swept : which tiles were processed; None for boxes from a file.
 
@@ -80,6 +81,7 @@ class Detections:
     notes: tuple[str, ...] = ()
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     undercut: tuple[float, float] = (0.0, 0.0)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
@@ -108,7 +110,19 @@ class Detections:
             doubtful=of_these(self.doubtful),
             set_aside={why: of_these(some) for why, some in self.set_aside.items()},
             objects=of_these(self.objects),
+            sizes=of_these(self.sizes),
         )
+
+    @property
+    def pictures(self) -> set[str]:
+        """Names of the pictures that it has anything of: vehicles, other boxes, boxes in their ground pictures."""
+        names = set().union(self.boxes, self.doubtful, *self.set_aside.values(), self.objects)
+        return names if self.planar is None else names | self.planar.pictures
+
+    def made_on(self, sizes: Mapping[str, tuple[int, int]]) -> Detections:
+        """The same with the sizes of its pictures, of the `sizes` (width, height) [px] by picture name."""
+        pictures = self.pictures
+        return replace(self, sizes={name: size for name, size in sizes.items() if name in pictures})
 
     @property
     def assumed(self) -> tuple[str, ...]:
