@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.models import make_model
 from test_dense_ground import write_cloud
 
+from orthoscale.actions.apply import apply
 from orthoscale.errors import InputError
 from orthoscale.formats.geometry.dense import visibility_fault
 from orthoscale.sources.cloud_fit import cloud_fit
@@ -149,3 +152,19 @@ def test_a_list_of_visible_images_that_does_not_fit_its_cloud_is_said(workspace)
         seen.write_bytes(data)
         assert (why in visibility_fault(path, 12)) if why else not visibility_fault(path, 12), why
     assert any("fused.ply.vis names images" in remark.text for remark in check_workspace(folder / "dense"))
+
+
+def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path):
+    folder, cloud = workspace
+    source = ColmapSource.open(folder, need_images=False)
+    (tmp_path / "metric").mkdir()
+    source.write(tmp_path / "metric", 2.5)
+    paths = {}
+    for name, points in (("own", cloud), ("part", cloud[cloud[:, 0] > 0]), ("other", 40 + cloud)):
+        paths[name] = write_cloud(tmp_path / f"{name}.ply", points)
+    said = apply(tmp_path / "metric/sim3.json", list(paths.values()), tmp_path / "out")
+    assert {path.name for path, notes in said.items() if notes} == {"other.ply"}
+    assert "does not lie on the sparse points" in said[tmp_path / "out/other.ply"][0]
+    (tmp_path / "alone").mkdir()
+    shutil.copy(tmp_path / "metric/sim3.json", tmp_path / "alone")
+    assert not apply(tmp_path / "alone/sim3.json", paths["other"], tmp_path / "again")[tmp_path / "again/other.ply"]

@@ -13,11 +13,19 @@ import numpy as np
 from ..core.progress import Progress
 from ..core.remarks import CAUTION, INFO, Remark
 from ..errors import InputError
-from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders, visibility_fault
+from ..formats.geometry.dense import (
+    DEPTH_KINDS,
+    find_dense,
+    read_depth_map,
+    sparse_folders,
+    sparse_in,
+    visibility_fault,
+)
 from ..formats.geometry.ply import points_in
 from ..formats.names import first_few
 from ..formats.reading import absent
 from ..system.paths import homes
+from .cameras import SCALED_MARK
 from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
 from .colmap_write import read_model
@@ -207,6 +215,22 @@ def check_workspace(workspace: Path) -> list[Remark]:
             if text := visibility_fault(path, len(images)):
                 remarks.append(Remark(CAUTION, text))
     return remarks
+
+
+def off_metric_model(path: Path, scale: float, folder: Path) -> str:
+    """A sentence that says so if the points of the PLY file `path`, times `scale`, do not lie where the COLMAP model in
+    `folder`, in metres, has its own; else, and where this cannot be told, empty."""
+    if not (folder / SCALED_MARK).is_file() or not sparse_in(folder):
+        return ""
+    try:
+        model, images = _undistorted(folder)
+        blocks = (scale * block for block in points_in(path, MOST_DENSE_POINTS))
+        centres = np.array([image.projection_center() for image in images.values()])
+        fit = cloud_fit(sparse_points(model), centres, blocks)
+    except InputError:  # what is wrong with the file is said where it is written
+        return ""
+    doubt = "it is in metres only if it was in that model's units, turned or shifted"
+    return f"does not lie on the sparse points of {folder} ({fit.said}): {doubt}" if fit.another else ""
 
 
 def sparse_points(model: pycolmap.Reconstruction) -> np.ndarray:

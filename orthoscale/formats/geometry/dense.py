@@ -106,7 +106,12 @@ def sparse_folders(dense: Path) -> list[Path]:
     """The folders of undistorted sparse models in the workspace `dense`."""
     sparse = dense / "sparse"
     folders = [sparse, *sorted(p for p in sparse.iterdir() if p.is_dir())] if sparse.is_dir() else []
-    return [f for f in folders if any((f / f"cameras.{form}").is_file() for form in ("bin", "txt"))]
+    return [f for f in folders if sparse_in(f)]
+
+
+def sparse_in(folder: Path) -> bool:
+    """Whether a sparse model of COLMAP lies in `folder`."""
+    return any((folder / f"cameras.{form}").is_file() for form in ("bin", "txt"))
 
 
 def scale_dense(
