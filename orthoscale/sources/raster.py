@@ -23,7 +23,7 @@ from ..core.projection.planar import square_pixels
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
 from ..formats.names import first_few
 from ..formats.other_programs import what_instead
 from ..formats.points import pixel
@@ -109,8 +109,8 @@ class RasterSource:
                 "`orthoscale photo` measures photos, and `orthoscale fix` the model that COLMAP makes of them"
             )
             self.notes.append(Remark(CAUTION, text))
-        if SCALE_TAG in dataset.tags():
-            self.notes.append(Remark(INFO, f"by its metadata, {NO_PROOF}"))
+        if (told := dataset.tags().get(SCALE_TAG)) is not None:
+            self.notes.append(Remark(INFO, f"by its metadata ({shown(told.split(',')[0])}), {NO_PROOF}"))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
