@@ -35,12 +35,14 @@ from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, open_dataset, projection_file
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
 from .raster_copy import SCALE_TAG, Original
-from .raster_display import Display
+from .raster_display import EXPORT_BITS, Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them too, or write the VRT again."
 
 STATISTICS = ".aux.xml"  # GDAL and QGIS may write it at any time; it holds no pixels
+
+COMPLEX_INTEGERS = "complex_int16"  # rasterio's name of a type
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -346,6 +348,8 @@ class RasterSource:
                 f"{self.path} has no bands" + (f", only subdatasets: {inside}" if inside else ""),
                 "Export one image as GeoTIFF, for example with gdal_translate.",
             )
+        if COMPLEX_INTEGERS in dataset.dtypes:  # which NumPy lacks; other complex numbers are refused where they count
+            raise InputError(f"{self.path} holds {COMPLEX_INTEGERS} values", EXPORT_BITS)
         if min(self.width, self.height) < SMALLEST:
             raise InputError(
                 f"{self.path} is only {self.width} x {self.height} px",
