@@ -40,7 +40,8 @@ def glb(path: Path, text: dict, binary: bytes = b"\1\2\3\4") -> Path:
     return path
 
 
-def dense_workspace(folder: Path) -> Path:
+def dense_workspace(folder: Path, model: pycolmap.Reconstruction | None = None) -> Path:
+    """With the undistorted `model`, or the example's, whose first image becomes ``a.jpg`` without points."""
     (folder / "stereo" / "depth_maps").mkdir(parents=True)
     (folder / "stereo" / "normal_maps").mkdir()
     (folder / "images").mkdir()
@@ -53,7 +54,7 @@ def dense_workspace(folder: Path) -> Path:
     ply(folder / "fused.ply", "binary_little_endian", ["x", "y", "z", "nx", "ny", "nz"], np.hstack([XYZ, XYZ]))
     ply(folder / "meshed-poisson.ply", "ascii", ["x", "y", "z"], XYZ, faces=True)
     (folder / "fused.ply.vis").write_bytes(b"visibility")
-    model = pycolmap.Reconstruction(SPARSE)
+    model = pycolmap.Reconstruction(SPARSE if model is None else model)
     image = model.image(min(model.reg_image_ids()))
     for seen in [k for k, point in enumerate(image.points2D) if point.has_point3D()]:
         model.delete_observation(image.image_id, seen)
