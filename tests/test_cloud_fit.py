@@ -67,6 +67,7 @@ def test_a_part_of_its_cloud_is_the_models_own(scene, cut):
         lambda cloud: turned(cloud, 70),
         lambda cloud: cloud + (0, 0, 0.3),
         lambda cloud: cloud + (5e5, 5e6, 100),  # in coordinates of a map
+        lambda cloud: 1e307 * cloud,
         lambda cloud: 14.2 * cloud[(np.abs(cloud[:, :2]) < 1.25).all(1)],
     ],
 )

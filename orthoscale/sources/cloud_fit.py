@@ -86,7 +86,7 @@ class _Cells:
     """The cells of one size around points, and how many points of a cloud are in each."""
 
     def __init__(self, points: np.ndarray, side: float) -> None:
-        self.side, self.origin = side, points.mean(0)
+        self.side, self.origin = side or 1.0, points.mean(0)
         around = self._cell(points)[:, None] + CELLS_AROUND
         self.known, where = np.unique(_packed(around).ravel(), return_inverse=True)
         self.of_point = where.reshape(len(points), len(CELLS_AROUND))
@@ -94,7 +94,8 @@ class _Cells:
 
     def _cell(self, points: np.ndarray) -> np.ndarray:
         farthest = 2.0**CELL_BITS - 2
-        return np.clip(np.floor((points - self.origin) / self.side), -farthest, farthest).astype(np.int64)
+        with np.errstate(over="ignore"):  # of points that are farther than the world is wide
+            return np.clip(np.floor((points - self.origin) / self.side), -farthest, farthest).astype(np.int64)
 
     def add(self, cloud: np.ndarray) -> np.ndarray:
         """Count the points (N, 3); returns (N,) bool, which of them are in one of the cells."""

@@ -212,7 +212,11 @@ def check_workspace(workspace: Path) -> list[Remark]:
             if not fit.own:
                 text = f"{path} may be of another model ({fit.said}): its copy is in metres only if it is of this one"
                 remarks.append(Remark(CAUTION, text))
-            if text := visibility_fault(path, len(images)):
+            try:
+                text = visibility_fault(path, len(images))
+            except OSError as error:
+                text = f"{path}.vis cannot be read ({error.strerror})"
+            if text:
                 remarks.append(Remark(CAUTION, text))
     return remarks
 
