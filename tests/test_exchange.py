@@ -193,6 +193,18 @@ def test_names_whose_marked_letters_are_two_characters_are_the_same(tmp_path, na
     assert sorted(load(tmp_path / name, flight).boxes) == list(flight.picture_names) and not flight.notes
 
 
+@pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.geojson", "d.gpkg"])
+@pytest.mark.parametrize("theirs, ours", [("a\u0308.jpg", "\u00e4.jpg"), ("caf\udce9.jpg", "caf\udce9.jpg")])
+def test_ground_pictures_are_recognised_by_the_names_of_their_frames(tmp_path, name, theirs, ours):
+    """With marked letters of two characters, or not in UTF-8, the boxes from above were lost without a word."""
+    above = Detections({f"ground/{theirs}": BOXES}, 1.0, RULER, (0.7, 0.5), "")
+    found = replace(above, boxes={theirs: BOXES}, planar=above)
+    save(found, tmp_path / name, sized([theirs], (640, 480)))
+    again = load(tmp_path / name, sized([ours], (640, 480)))
+    assert list(again.boxes) == [ours] and again.planar is not None
+    assert list(again.planar.boxes) == [f"ground/{ours}"]
+
+
 @pytest.mark.parametrize("form", ["NFC", "NFD"])
 def test_names_that_differ_only_by_their_form_stay_apart(tmp_path, form):
     flight = Flight()

@@ -13,7 +13,7 @@ import numpy as np
 from ...core.boxes import Boxes, distinct
 from ...core.detections import Detections
 from ...core.remarks import CAUTION, INFO, Remark
-from ...core.source import Pictures
+from ...core.source import GROUND_FOLDER, Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
 from ..names import composed, in_utf8, json_in_utf8
@@ -222,7 +222,8 @@ def _checked(
     _check_sizes(sizes_of(found.sizes, known), sizes, path)
     exact = {in_utf8(name): name for name in known}
     found = _renamed(found, lambda name: exact.get(name, name))
-    alike = _by_composed([name for name in known if name not in found.boxes])
+    forms = Counter(map(composed, found.boxes))  # a file with both forms of a name means two pictures
+    alike = _by_composed([name for name in known if forms[composed(name)] < 2])
     found = _renamed(found, lambda name: name if name in sizes else alike.get(composed(name), name))
     strangers = [name for name in found.boxes if name not in sizes]
     if strangers and len(strangers) == len(found.boxes):
@@ -272,13 +273,18 @@ def _by_composed(names: Sequence[str]) -> dict[str, str]:
 
 
 def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
-    """`found` with `name` applied to each picture's name."""
+    """`found` with `name` applied to each picture's name, and to that of the frame in each ground picture's."""
+
+    def above(picture: str) -> str:
+        frame = picture.removeprefix(GROUND_FOLDER)
+        return name(picture) if frame == picture else GROUND_FOLDER + name(frame)
+
     boxes = {name(picture): each for picture, each in found.boxes.items()}
     doubtful = {name(picture): each for picture, each in found.doubtful.items()}
     set_aside = {why: {name(p): each for p, each in some.items()} for why, some in found.set_aside.items()}
     objects = {name(picture): kinds for picture, kinds in found.objects.items()}
     sizes = {name(picture): size for picture, size in found.sizes.items()}
-    planar = None if found.planar is None else _renamed(found.planar, name)
+    planar = None if found.planar is None else _renamed(found.planar, above)
     return replace(
         found, boxes=boxes, doubtful=doubtful, set_aside=set_aside, objects=objects, planar=planar, sizes=sizes
     )
