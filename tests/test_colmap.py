@@ -501,6 +501,19 @@ def test_frames_of_another_flight(plain, tmp_path):
     assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
 
 
+def test_files_of_another_flight_among_the_frames(plain, tmp_path):
+    """Two flights copied into one folder: a vehicle counted several times, at wrong places, without a word."""
+    folder = save(plain, tmp_path / "m", "bin")
+    images = sorted(plain.images.values(), key=lambda image: image.name)
+    for image in images:
+        draw_points(plain, image, tmp_path / "frames" / image.name)
+    draw_points(plain, images[1], tmp_path / "frames" / images[4].name)
+    draw_points(plain, images[2], tmp_path / "frames" / images[7].name)
+    (note,) = ColmapSource.open(folder, tmp_path / "frames").notes
+    assert note.severity == CAUTION and note.text.startswith("2 of 12 frames that were compared do not show")
+    assert f"the first is {tmp_path / 'frames' / images[4].name}" in note.text
+
+
 def test_a_point_of_a_frame_is_read_to_a_pixel_and_lies_in_it(plain, model_bin, tmp_path):
     put_frames(plain, tmp_path / "frames")
     source = ColmapSource.open(model_bin, tmp_path / "frames")

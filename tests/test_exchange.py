@@ -45,12 +45,12 @@ BOXES = Boxes(
 )
 
 
-def raster(path, crs=None, transform=None, **more):
-    profile = {"driver": "GTiff", "width": 320, "height": 240, "count": 3, "dtype": "uint8", "crs": crs, **more}
+def raster(path, crs=None, transform=None, size=(320, 240), **more):
+    profile = {"driver": "GTiff", "width": size[0], "height": size[1], "count": 3, "dtype": "uint8", "crs": crs, **more}
     if transform is not None:
         profile["transform"] = transform
     with warnings.catch_warnings(action="ignore"), rasterio.open(path, "w", **profile) as file:
-        file.write(np.full((3, 240, 320), 90, np.uint8))
+        file.write(np.full((3, *size[::-1]), 90, np.uint8))
     return open_source(path)
 
 
@@ -195,6 +195,18 @@ def test_names_whose_marked_letters_are_two_characters_are_the_same(tmp_path, na
     assert sorted(load(tmp_path / name, flight).boxes) == list(flight.picture_names) and not flight.notes
 
 
+@pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.geojson", "d.gpkg"])
+@pytest.mark.parametrize("theirs, ours", [("a\u0308.jpg", "\u00e4.jpg"), ("caf\udce9.jpg", "caf\udce9.jpg")])
+def test_ground_pictures_are_recognised_by_the_names_of_their_frames(tmp_path, name, theirs, ours):
+    """With marked letters of two characters, or not in UTF-8, the boxes from above were lost without a word."""
+    above = Detections({f"ground/{theirs}": BOXES}, 1.0, RULER, (0.7, 0.5), "")
+    found = replace(above, boxes={theirs: BOXES}, planar=above)
+    save(found, tmp_path / name, sized([theirs], (640, 480)))
+    again = load(tmp_path / name, sized([ours], (640, 480)))
+    assert list(again.boxes) == [ours] and again.planar is not None
+    assert list(again.planar.boxes) == [f"ground/{ours}"]
+
+
 @pytest.mark.parametrize("form", ["NFC", "NFD"])
 def test_names_that_differ_only_by_their_form_stay_apart(tmp_path, form):
     flight = Flight()
@@ -219,6 +231,69 @@ def test_sizes_in_coco_are_compared_whatever_name_a_picture_has(tmp_path, start,
     (tmp_path / "d.coco.json").write_text(json.dumps(text))
     with pytest.raises(InputError, match="has 320 x 240 px, the source's 640 x 480"):
         load(tmp_path / "d.coco.json", flight)
+
+
+def sized(names, size):
+    class Frames:
+        claimed, pictures, path, picture_names, notes = None, (), Path("model"), names, []
+
+        def image_size(self, name):
+            return size
+
+    return Frames()
+
+
+@pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.geojson", "d.gpkg"])
+def test_boxes_of_pictures_that_were_resized_later_are_refused(tmp_path, name):
+    """All boxes lie within the larger pictures: a scale twice too large was given without a word."""
+    save(
+        Detections({"a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), ""), tmp_path / name, sized(["a.jpg", "b.jpg"], (320, 240))
+    )
+    assert load(tmp_path / name, sized(["a.jpg", "b.jpg"], (320, 240))).sizes == {"a.jpg": (320, 240)}
+    for pictures in (["a.jpg", "b.jpg"], ["other.jpg"]):
+        with pytest.raises(InputError, match=r"jpg has 320 x 240 px, the source's 640 x 480"):
+            load(tmp_path / name, sized(pictures, (640, 480)))
+
+
+def test_boxes_in_ground_pictures_are_of_frames_of_one_size_too(tmp_path):
+    above = Detections({"ground/a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), "")
+    found = replace(above, boxes={"a.jpg": BOXES[:0]}, planar=above)
+    save(found, tmp_path / "d.json", sized(["a.jpg"], (320, 240)))
+    with pytest.raises(InputError, match=r"has 320 x 240 px, the source's 640 x 480"):
+        load(tmp_path / "d.json", sized(["a.jpg"], (640, 480)))
+
+
+def test_boxes_that_python_saves_of_a_result_have_their_sizes(tmp_path):
+    found = Detections({"a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), "").made_on({"a.jpg": (320, 240), "b.jpg": (1, 1)})
+    orthoscale.save_detections(found, tmp_path / "d.json")
+    assert load_detections(tmp_path / "d.json").sizes == {"a.jpg": (320, 240)}
+
+
+@pytest.mark.parametrize("sizes", [{"ortho.tif": [0, 4]}, {"ortho.tif": [4]}, {"ortho.tif": 4}, ["ortho.tif"]])
+def test_impossible_sizes_are_refused(tmp_path, sizes):
+    save(Detections({"a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), ""), tmp_path / "d.json", sized(["a.jpg"], (320, 240)))
+    text = json.loads((tmp_path / "d.json").read_text())
+    (tmp_path / "d.json").write_text(json.dumps({**text, "picture_sizes": sizes}))
+    with pytest.raises(InputError, match="picture_sizes"):
+        load(tmp_path / "d.json", sized(["a.jpg"], (320, 240)))
+
+
+@pytest.mark.parametrize("name", ["d.geojson", "d.gpkg"])
+def test_boxes_on_the_map_fit_another_cut_of_a_picture_but_no_resampled_one(tmp_path, name):
+    crs, t = PLACES["UTM"]
+    for folder in ("whole", "cut", "larger"):
+        (tmp_path / folder).mkdir()
+    whole = raster(tmp_path / "whole/ortho.tif", crs, t)
+    objects = {"ortho.tif": {"tennis-court": BOXES}}
+    found = Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "", doubtful={"ortho.tif": BOXES}, objects=objects)
+    save(found, tmp_path / name, whole)
+    cut = raster(tmp_path / "cut/ortho.tif", crs, Affine(0.1, 0, t.c - 4, 0, -0.1, t.f + 3), size=(360, 270))
+    again = load(tmp_path / name, cut)
+    assert again.boxes["ortho.tif"].centre == pytest.approx(BOXES.centre + (40, 30), abs=0.02)
+    assert (again.doubtful, again.objects) == ({}, {}) and "another cut of this picture" in str(cut.notes[-1])
+    larger = raster(tmp_path / "larger/ortho.tif", crs, Affine(0.05, 0, t.c, 0, -0.05, t.f), size=(640, 480))
+    with pytest.raises(InputError, match="boxes are 2 times as long in this picture"):
+        load(tmp_path / name, larger)
 
 
 def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tmp_path):

@@ -457,6 +457,28 @@ def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     assert any("no scaled.tif.json" in note for note in unknown.notes)
 
 
+@pytest.mark.parametrize(
+    "report, why",
+    [
+        ({"scale": 0.1, "unit": "m/px"}, ""),
+        ({"scale": 0.05, "pictures": {"a.tif": [1400, 1000]}}, ""),  # resampled since
+        ({"scale": 0.1, "pictures": {"a.tif": [2000, 1000]}}, ""),  # cropped since
+        ({"scale": 0.115, "pictures": {"a.tif": [700, 500]}}, "has 10 cm/px, but the scale in .* is 11.5 cm/px"),
+        ({"scale": 0.2, "pictures": {"a.tif": [700, 500]}}, "has 10 cm/px, but the scale in .* is 20 cm/px"),
+        ({"scale": 0.1, "unit": "m/model-unit"}, None),
+    ],
+)
+def test_a_report_of_another_scale_does_not_say_how_certain_this_one_is(tmp_path, report, why):
+    """The pixel size was edited, or the report is another file's: a layout of false lengths had a narrow interval."""
+    path = orthophoto(tmp_path, report={**report, "interval90": [report["scale"] * 0.98, report["scale"] * 1.02]})
+    if why:
+        with pytest.raises(InputError, match=why):
+            open_ground(path)
+        assert open_ground(path, 0.1).interval == (0.9, 1.1)
+    else:
+        assert (open_ground(path).interval is None) == (why is None)
+
+
 def test_what_must_be_avoided_does_not_hold_a_facility_when_the_scale_is_off(tmp_path):
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
     tree = lot_file(tmp_path / "tree.geojson", [(40, 5), (65, 5), (65, 45), (40, 45)])

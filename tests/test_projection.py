@@ -194,17 +194,20 @@ def test_a_size_that_more_steps_would_change_is_not_told(monkeypatch):
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (3.0, 8.0), (0.0, 20.0), (25.0, 15.0), (-1.0, 2.5)])
-def test_a_plan_made_by_one_camera_gives_footprints(place):
-    """A block of 4.5 x 1.8 x 0.8 m, seen from 15 m, by the shadow that its corners throw on the ground."""
+@pytest.mark.parametrize("unit", [1.0, 4e7, 1e-4])
+def test_a_plan_made_by_one_camera_gives_footprints(place, unit):
+    """A block of 4.5 x 1.8 x 0.8 m, seen from 15 m, by the shadow that its corners throw on the ground; in units as
+    large as the Earth's circumference too, of which no vehicle was long enough."""
     camera, size, height = 15.0, np.array([4.5, 1.8]), 0.8
     corners = np.array(place) + np.array([[x, y] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * size
     shown = np.concatenate([corners, corners * camera / (camera - height)])
     low, high = shown.min(0), shown.max(0)
     middle, none = (low + high)[None] / 2 / camera, (0.0, 0.0)
     boxes = Boxes(np.zeros((1, 5)), np.ones(1))
-    plan = SimpleNamespace(camera=np.full((1, 1), camera), offset=middle, flat=(high - low)[None], boxes=boxes)
+    flat = (high - low)[None] / unit
+    plan = SimpleNamespace(camera=np.full((1, 1), camera / unit), offset=middle, flat=flat, boxes=boxes)
     ruler = OwnRuler.shipped((height, height), none, (0.25, 0.25), none, BODIES["cuboid"])
-    assert ruler.size(SweepGeometry._seen(plan, 1.0))[0] == pytest.approx(size, rel=1e-4)
+    assert unit * ruler.size(SweepGeometry._seen(plan, unit))[0] == pytest.approx(size, rel=1e-4)
 
 
 @pytest.mark.parametrize("pitch", [85, 70, 55, 45])

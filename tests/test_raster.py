@@ -425,6 +425,11 @@ def complex_numbers(folder):
     return make(folder / "a.tif", scene(1).astype("complex64"))
 
 
+def complex_integers(folder):
+    """As radar has them. They gave the exit code of a bug, as NumPy does not know them."""
+    return make(folder / "a.tif", scene(1).astype("int16"), dtype="complex_int16")
+
+
 def only_alpha(folder):
     def prepare(d):
         d.colorinterp = (ColorInterp.alpha,)
@@ -448,6 +453,7 @@ def truncated(path: Path, part: float) -> Path:
         (random_bytes, "not an image"),
         (tiny, "8 x 8 px"),
         (complex_numbers, "complex64"),
+        (complex_integers, "complex_int16"),
         (only_alpha, "alpha"),
         (lambda d: truncated(make(d / "a.tif"), 0.98), "truncated"),
         (lambda d: truncated(make(d / "a.tif", tiled=True, blockxsize=64, blockysize=64), 0.6), "truncated"),

@@ -10,6 +10,7 @@ from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.mark import refuse_marked
 from ..formats.geometry.sim3 import Sim3
 from ..sources.cameras import MODELS, metric_cameras
+from ..sources.dense_cloud import off_metric_model
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
 from ..system.paths import absolute, path_of, paths_of
@@ -46,5 +47,7 @@ def apply(
             target = folder / name
             if path.is_dir():
                 target.mkdir()
-            written[out / name] = list(scale_path(path, target, scale, others, metric))
+            notes = written[out / name] = list(scale_path(path, target, scale, others, metric))
+            if path.suffix.lower() == ".ply" and (text := off_metric_model(path, scale, sim3.parent)):
+                notes.append(text)
     return written

@@ -9,6 +9,7 @@ from typing import Any
 from .boxes import Boxes
 from .confirmed import AS_LIKELY
 from .ruler import Ruler
+from .source import GROUND_FOLDER
 
 # For boxes from a file that has no ruler: nobody has measured their margin.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
@@ -88,6 +89,7 @@ class Detections:
     doubtful : boxes that only one detection pass finds, or both with low confidence (UNCONFIRMED), by picture name.
     set_aside : boxes that both passes find but that do not count, by the reason and picture name.
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
+    sizes : width and height of the pictures on which the boxes were made [px], where they are known.
     body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     swept : which tiles were processed; None for boxes from a file.
     zoom_choice : how `zoom` was searched for; None if it was given.
@@ -110,6 +112,7 @@ class Detections:
     notes: tuple[str, ...] = ()
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     undercut: tuple[float, float] = (0.0, 0.0)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
@@ -131,8 +134,13 @@ class Detections:
         return self._each(lambda some: {name: each for name, each in some.items() if name in pictures})
 
     def renamed(self, new: Callable[[str], str]) -> Detections:
-        """The same with the name `new(name)` for each picture, in `planar` too."""
-        planar = None if self.planar is None else self.planar.renamed(new)
+        """The same with the name `new(name)` for each picture, and for the frame of each ground picture in `planar`."""
+
+        def above(name: str) -> str:
+            frame = name.removeprefix(GROUND_FOLDER)
+            return new(name) if frame == name else GROUND_FOLDER + new(frame)
+
+        planar = None if self.planar is None else self.planar.renamed(above)
         return replace(self._each(lambda some: {new(name): each for name, each in some.items()}), planar=planar)
 
     def _each(self, change: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Detections:
@@ -143,7 +151,19 @@ class Detections:
             doubtful=change(self.doubtful),
             set_aside={why: change(some) for why, some in self.set_aside.items()},
             objects=change(self.objects),
+            sizes=change(self.sizes),
         )
+
+    @property
+    def pictures(self) -> set[str]:
+        """Names of the pictures that it has anything of: vehicles, other boxes, boxes in their ground pictures."""
+        names = set().union(self.boxes, self.doubtful, *self.set_aside.values(), self.objects)
+        return names if self.planar is None else names | self.planar.pictures
+
+    def made_on(self, sizes: Mapping[str, tuple[int, int]]) -> Detections:
+        """The same with the sizes of its pictures, of the `sizes` (width, height) [px] by picture name."""
+        pictures = self.pictures
+        return replace(self, sizes={name: size for name, size in sizes.items() if name in pictures})
 
     @property
     def assumed(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from .projection.view import LOWEST_ELEVATION, Views
 from .remarks import Remark
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
+GROUND_FOLDER = "ground/"  # a ground picture has the name of its frame with this before it
 NO_DATA_GREY = 114  # value of pixels without data that `Picture.read` returns
 
 

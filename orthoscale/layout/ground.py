@@ -15,6 +15,7 @@ from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
 
 from ..core.affine import transformed
+from ..core.scale import PER_PIXEL
 from ..errors import InputError, UsageError, shown
 from ..formats.degrees import WGS_84, about_meridian, near_on_map, to_degrees
 from ..formats.plain_path import readable
@@ -23,6 +24,7 @@ from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
 MOST_OFF = 10.0  # largest ratio between an end of an interval and its scale: no true report has more
+SAME_GSD = 1.02  # a map projection distorts by less within a picture; another scale is hardly ever so near
 AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
 FARTHEST_M = 1e9  # of a polygon's coordinates, whatever their unit
 
@@ -100,7 +102,8 @@ class MetricOrthophoto:
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
-    """The orthophoto at `path`. Raises InputError if it has no scale in metres.
+    """The orthophoto at `path`. Raises InputError if it has no scale in metres, or
+    another one than the report beside it.
 
     scale_error : half of the scale's 90 % interval, as a share; by default from the report that `orthoscale fix` wrote
     beside the file.
@@ -117,7 +120,7 @@ def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophot
     aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
     pixel = gsd * np.array([aspect, 1 / aspect])
     north, notes = _north(source, transform, pixel)
-    interval, told = _interval(path, scale_error)
+    interval, told = _interval(path, scale_error, gsd, source.width * source.height)
     return MetricOrthophoto(source, pixel, north, transform, crs, interval, (*notes, *told))
 
 
@@ -138,24 +141,34 @@ def _north(source: RasterSource, transform: Affine, pixel: np.ndarray) -> tuple[
     return math.degrees(math.atan2(right, -down)), notes
 
 
-def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+def _interval(
+    path: Path, scale_error: float | None, gsd: float, area: int
+) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+    """`MetricOrthophoto.interval` of a picture of `area` pixels with `gsd` m/px, and notes on it. Raises InputError if
+    it would be that of another scale."""
     if scale_error is not None:
         if not 0 <= scale_error < 1:
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
-    from ..formats.schemas.report import ReportScale
+    from ..formats.schemas.report import ReportOfPictures
 
+    unknown = f"the uncertainty of the scale is not known: no {report.name} states it (or give --scale-error PERCENT)"
     try:
-        told = read(report, ReportScale, "a report of orthoscale", most=LARGE)
-        low, high = (v / told.scale for v in told.interval90)
-        if 1 / MOST_OFF <= low <= 1 <= high <= MOST_OFF:
-            return (low, high), ()
+        told = read(report, ReportOfPictures, "a report of orthoscale", most=LARGE)
     except InputError:  # there is none, or it is another program's file
-        pass
-    return None, (
-        f"the uncertainty of the scale is not known: no {report.name} states it (or give --scale-error PERCENT)",
-    )
+        return None, (unknown,)
+    low, high = (v / told.scale for v in told.interval90)
+    if told.unit != PER_PIXEL or not 1 / MOST_OFF <= low <= 1 <= high <= MOST_OFF:
+        return None, (unknown,)
+    # The picture may have been cropped or resampled since.
+    expected = [told.scale, *(told.scale * math.sqrt(w * h / area) for w, h in told.pictures.values())]
+    if min(abs(math.log(gsd / each)) for each in expected if each > 0) > math.log(SAME_GSD):
+        raise InputError(
+            f"{path} has {100 * gsd:.4g} cm/px, but the scale in {report.name} is {100 * told.scale:.4g} cm/px",
+            "One of them was changed or is of another picture: run `orthoscale fix` again, or give --scale-error.",
+        )
+    return (low, high), ()
 
 
 def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry, str | None]:

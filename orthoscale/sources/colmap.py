@@ -355,16 +355,13 @@ class ColmapSource:
     @cached_property
     def dense(self) -> Path:
         """The dense workspace that belongs to this model. Raises what `dense_of` raises."""
-        return dense_of(self.folder, self._cameras, lambda: self.camera_height)
+        found, remarks = dense_of(self.folder, self._cameras, lambda: self.camera_height)
+        self.notes.extend(remarks)
+        return found
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`. Raises what `dense` raises."""
         self.notes.extend(informing(scale_workspace(self.dense, folder, metres_per_unit)))
-        if self.cloud is None or not self.cloud.path.is_relative_to(self.dense):
-            return
-        if any(note.text.startswith(f"{self.cloud.what} is left out") for note in self.notes):
-            text = f"{self.cloud.path} may be of another model: its copy is in metres only if it is of this one"
-            self.notes.append(Remark(CAUTION, text))
 
 
 def _reopened(

@@ -8,20 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.remarks import Remark
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import find_dense, sparse_folders
 from .cameras import cameras_of
-from .dense_cloud import check_depth_maps
+from .dense_cloud import check_workspace
 
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 
 
-def dense_of(folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Callable[[], float]) -> Path:
-    """The dense workspace of the model in `folder`.
+def dense_of(
+    folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Callable[[], float]
+) -> tuple[Path, list[Remark]]:
+    """The dense workspace of the model in `folder`, and remarks on it.
 
     cameras : (3,) centre of each, by the name of its image [model units]. camera_height : gives their height over the
     ground [model units], which takes a while to find. Raises UsageError if there is no workspace, InputError for one
-    without cameras, or whose cameras or depth maps show that it was made from another model.
+    without cameras, or whose cameras, depth maps, cloud or meshes show that they are of another model.
     """
     dense = find_dense(folder)
     if dense is None:
@@ -46,5 +49,4 @@ def dense_of(folder: Path, cameras: Mapping[str, np.ndarray], camera_height: Cal
                 f"{sparse} is not the undistorted model of {folder}: its cameras stand elsewhere",
                 "It may be from another run or in metres already: run image_undistorter again.",
             )
-    check_depth_maps(dense)
-    return dense
+    return dense, check_workspace(dense)

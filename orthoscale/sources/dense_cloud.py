@@ -11,12 +11,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.progress import Progress
-from ..core.remarks import INFO, Remark
+from ..core.remarks import CAUTION, INFO, Remark
 from ..errors import InputError
-from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders
+from ..formats.geometry.dense import (
+    DEPTH_KINDS,
+    find_dense,
+    read_depth_map,
+    sparse_folders,
+    sparse_in,
+    visibility_fault,
+)
 from ..formats.geometry.ply import points_in
+from ..formats.names import first_few
 from ..formats.reading import absent
 from ..system.paths import homes
+from .cameras import SCALED_MARK
+from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
 from .colmap_write import read_model
 
@@ -27,6 +37,7 @@ MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any
 # Depth maps, and depths of points in them, that are compared with the model; and by what factor their median may
 # differ. Another run has a unit of its own, which is so near by chance only.
 MAPS_COMPARED, DEPTHS_COMPARED, DEPTHS_APART = 5, 50, 1.1
+MOST_LACKING_NAMED = 3  # images without depth maps
 FUSED_CLOUD = "fused.ply"
 # Where other programs write clouds in the coordinates of their reconstruction, relative to the folder of its file.
 CLOUD_PLACES = (
@@ -176,6 +187,74 @@ def check_depth_maps(workspace: Path) -> None:
             f"{np.median(apart):.3g} times the distance",
             "They may be of a former run: run patch_match_stereo and stereo_fusion again, or remove --dense.",
         )
+
+
+def check_workspace(workspace: Path) -> list[Remark]:
+    """Raise InputError for a dense workspace whose depth maps, cloud or meshes are not of the undistorted model in it;
+    returns remarks on what is missing, and on a cloud of which this cannot be told. A cropped cloud is of its model."""
+    check_depth_maps(workspace)
+    if not (sparse := sparse_folders(workspace)):
+        return []
+    model, images = _undistorted(sparse[0])
+    remarks = _on_missing_maps(workspace, sorted(images))
+    points, centres = sparse_points(model), np.array([image.projection_center() for image in images.values()])
+    for path in sorted(path for path in workspace.glob("*.ply") if path.is_file()):
+        try:
+            fit = cloud_fit(points, centres, points_in(path, MOST_DENSE_POINTS))
+        except (InputError, OSError):  # what is wrong with it is said where it is written
+            continue
+        if fit.another:
+            raise InputError(
+                f"{path} is not of the model {sparse[0]}: {fit.said}",
+                "It may be of a former run or in metres already: make it again, or move it away.",
+            )
+        if path.name == FUSED_CLOUD:
+            if not fit.own:
+                text = f"{path} may be of another model ({fit.said}): its copy is in metres only if it is of this one"
+                remarks.append(Remark(CAUTION, text))
+            try:
+                text = visibility_fault(path, len(images))
+            except OSError as error:
+                text = f"{path}.vis cannot be read ({error.strerror})"
+            if text:
+                remarks.append(Remark(CAUTION, text))
+    return remarks
+
+
+def off_metric_model(path: Path, scale: float, folder: Path) -> str:
+    """A sentence that says so if the points of the PLY file `path`, times `scale`, do not lie where the COLMAP model in
+    `folder`, in metres, has its own; else, and where this cannot be told, empty."""
+    if not (folder / SCALED_MARK).is_file() or not sparse_in(folder):
+        return ""
+    try:
+        model, images = _undistorted(folder)
+        blocks = (scale * block for block in points_in(path, MOST_DENSE_POINTS))
+        centres = np.array([image.projection_center() for image in images.values()])
+        fit = cloud_fit(sparse_points(model), centres, blocks)
+    except InputError:  # what is wrong with the file is said where it is written
+        return ""
+    doubt = "it is in metres only if it was in that model's units, turned or shifted"
+    return f"does not lie on the sparse points of {folder} ({fit.said}): {doubt}" if fit.another else ""
+
+
+def sparse_points(model: pycolmap.Reconstruction) -> np.ndarray:
+    """(M, 3) points of a model that three images see or more; all of them, if these are few."""
+    every = list(model.points3D.values())
+    places = np.array([point.xyz for point in every]).reshape(-1, 3)
+    sure = np.array([point.track.length() > 2 for point in every], bool)
+    return places[sure] if sure.sum() >= FEWEST_NEAR else places
+
+
+def _on_missing_maps(workspace: Path, names: list[str]) -> list[Remark]:
+    """A caution if some of the images `names` have depth maps and others none, as after a stereo run that was stopped:
+    on the geometric ones, unless there are none at all."""
+    folder = workspace / "stereo" / "depth_maps"
+    for kind in DEPTH_KINDS:
+        lacking = [name for name in names if not (folder / f"{name}{kind}").is_file()]
+        if 0 < len(lacking) < len(names):
+            what = f"{kind.split('.')[1]} depth maps of {len(lacking)} of {len(names)} images"
+            return [Remark(CAUTION, f"{workspace} has no {what}: {first_few(lacking, MOST_LACKING_NAMED)}")]
+    return []
 
 
 def _of_depth_maps(workspace: Path, progress: Callable[[int, int], None]) -> Iterator[np.ndarray]:

@@ -2,8 +2,8 @@
 places.
 
 Cameras use the same file names on every flight, so a folder of another flight has the same names and sizes. In four
-real models the brightness of the points and of the frames correlates by 0.90 to 0.98 in every frame, and by 0.40 at
-most if a frame is replaced by another.
+real models the brightness of the points and of the frames correlates by 0.84 to 0.99 in every frame, and by 0.40 at
+most if a frame is replaced by another. Files of another flight that were copied into the folder replace some frames.
 
 Frames of the same size that were undistorted later, or that are the originals of an undistorted model, show things away
 from the middle larger or smaller than the model's lens does: with a k1 of 0.1, scales are 3 to 8 % off. (Frames of
@@ -12,7 +12,7 @@ another size are refused: `PictureFile.check_size`.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,9 @@ from .picture_file import PictureFile
 if TYPE_CHECKING:
     import pycolmap
 
-FRAMES_COMPARED = 5  # that are checked, spread over all
+FRAMES_COMPARED = 5  # that are checked for places and colours, spread over all
+FRAMES_GLANCED_AT = 20  # that are checked for colours in the model's places, which is quick
+GLANCE = 4  # by what factor large frames are reduced for it
 LEAST_POINTS = 50  # of a frame that can be checked
 LEAST_CONTRAST = 5.0  # [of 255] standard deviation: points without colours are black, and a blank frame shows nothing
 OWN_FRAMES = 0.5  # median correlation of the frames from which they are the model's
@@ -74,7 +76,44 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
             f"{chosen[0].path} ...): they may be of another flight, turned, or changed since"
         )
         return [Remark(REFUSAL, text, "Name the folder of the frames that the model was made from (--images)")]
-    return []
+    return _on_strangers(model, images, pictures)
+
+
+def _on_strangers(
+    model: pycolmap.Reconstruction, images: Mapping[str, pycolmap.Image], pictures: Sequence[PictureFile]
+) -> list[Remark]:
+    """A caution on single ones among the model's own frames that do not show its points."""
+    count = min(FRAMES_GLANCED_AT, len(pictures))
+    chosen = [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, count)]
+    each = [(picture, _own(model, images[picture.name], picture)) for picture in chosen]
+    known = [(picture, own) for picture, own in each if own is not None]
+    if not (strangers := [picture for picture, own in known if own < OWN_FRAMES]):
+        return []
+    text = (
+        f"{len(strangers)} of {len(known)} frames that were compared do not show the model's points in their colours, "
+        f"the first is {strangers[0].path}: files of another flight may have replaced them; vehicles in them are "
+        "measured wrongly"
+    )
+    return [Remark(CAUTION, text)]
+
+
+def _own(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> float | None:
+    """How well the brightness of the model's points correlates with `picture` at their places in its `image`; None if
+    that cannot be found."""
+    seen = [point for point in image.points2D if point.has_point3D()]
+    if len(seen) < LEAST_POINTS:
+        return None
+    colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).mean(1)
+    try:
+        with picture.pixels(GLANCE) as (pixels, factor):
+            x, y = (np.array([point.xy for point in seen]) // factor).astype(int).T
+            inside = (x >= 0) & (x < pixels.shape[1]) & (y >= 0) & (y < pixels.shape[0])
+            shown = pixels[y[inside], x[inside]].mean(1)
+    except InputError:  # reported by whoever needs the picture
+        return None
+    if 2 * inside.sum() < len(seen) or min(colours[inside].std(), shown.std()) < LEAST_CONTRAST:
+        return None
+    return float(np.corrcoef(colours[inside], shown)[0, 1])
 
 
 def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _ZoomFit | None:

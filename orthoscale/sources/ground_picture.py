@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 
 from ..core.projection.view import even_pixels
-from ..core.source import NEAR_NADIR, NO_DATA_GREY, PosedSet
+from ..core.source import GROUND_FOLDER, NEAR_NADIR, NO_DATA_GREY, PosedSet
 from ..errors import InputError
 from ..system import budget
 from .picture_file import LARGE_SHARE, PictureFile, covering, memory, resized, shrunk
 
-GROUND_FOLDER = "ground/"  # a ground picture has the name of its frame with this before it
 SHOWN_BELOW = 8.0  # [deg] shown beyond the limit NEAR_NADIR, so that a vehicle at the limit is whole
 SAMPLES = (32, 24)  # points of a frame, across and down, to find which ground it sees
 CELL = 8  # [px] the warp is computed at every CELL-th pixel, and linear between

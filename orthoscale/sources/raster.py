@@ -23,7 +23,7 @@ from ..core.projection.planar import square_pixels
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
 from ..formats.names import first_few
 from ..formats.other_programs import what_instead
 from ..formats.points import pixel
@@ -35,12 +35,14 @@ from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, open_dataset, projection_file
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
 from .raster_copy import SCALE_TAG, Original
-from .raster_display import Display
+from .raster_display import EXPORT_BITS, Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them too, or write the VRT again."
 
 STATISTICS = ".aux.xml"  # GDAL and QGIS may write it at any time; it holds no pixels
+
+COMPLEX_INTEGERS = "complex_int16"  # rasterio's name of a type
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -109,8 +111,8 @@ class RasterSource:
                 "`orthoscale photo` measures photos, and `orthoscale fix` the model that COLMAP makes of them"
             )
             self.notes.append(Remark(CAUTION, text))
-        if SCALE_TAG in dataset.tags():
-            self.notes.append(Remark(INFO, f"by its metadata, {NO_PROOF}"))
+        if (told := dataset.tags().get(SCALE_TAG)) is not None:
+            self.notes.append(Remark(INFO, f"by its metadata ({shown(told.split(',')[0])}), {NO_PROOF}"))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
@@ -346,6 +348,8 @@ class RasterSource:
                 f"{self.path} has no bands" + (f", only subdatasets: {inside}" if inside else ""),
                 "Export one image as GeoTIFF, for example with gdal_translate.",
             )
+        if COMPLEX_INTEGERS in dataset.dtypes:  # which NumPy lacks; other complex numbers are refused where they count
+            raise InputError(f"{self.path} holds {COMPLEX_INTEGERS} values", EXPORT_BITS)
         if min(self.width, self.height) < SMALLEST:
             raise InputError(
                 f"{self.path} is only {self.width} x {self.height} px",

@@ -17,6 +17,8 @@ from ..core.remarks import INFO, Remark
 from ..core.source import NO_DATA_GREY
 from ..errors import InputError
 
+EXPORT_BITS = "Export it with 8 or 16 bit per band."
+
 MOST_BETWEEN = 0.5
 """Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
 share of their edges, of a near infrared band nearly all."""
@@ -112,7 +114,7 @@ def _colour_bands(path: Path, dataset: DatasetReader) -> list[int]:
         raise InputError(f"{path} has nothing but an alpha band", "Export the colour bands too.")
     kind = np.result_type(*(dataset.dtypes[b - 1] for b in bands))
     if kind.kind not in "uif":
-        raise InputError(f"{path} holds {kind} values", "Export it with 8 or 16 bit per band.")
+        raise InputError(f"{path} holds {kind} values", EXPORT_BITS)
     return bands
 
 

@@ -16,6 +16,7 @@ from ..formats.reading import absent
 from .cameras import cameras_in, refuse_another
 from .colmap import scale_model, scale_workspace
 from .colmap_check import model_folders
+from .dense_cloud import check_workspace
 
 
 def scale_path(
@@ -41,7 +42,8 @@ def scale_path(
             refuse_another(source, cameras_in(source), metric, scale)
         return notes
     if is_dense(source):
-        return scale_workspace(source, target, scale, metric)
+        remarks = [str(remark) for remark in check_workspace(source)]
+        return [*scale_workspace(source, target, scale, metric), *remarks]
     if len(models := model_folders(source)) > 1:
         raise UsageError(
             f"{source} holds {len(models)} models, each with a scale of its own: {', '.join(m.name for m in models)}",

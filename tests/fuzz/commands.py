@@ -304,6 +304,7 @@ def geometry(bench: Bench, rng: Rng) -> Attempt:
             ("scene.gltf", "part.bin"),
             ("dense", "dense/stereo/depth_maps/a.jpg.geometric.bin"),
             ("dense", "dense/fused.ply"),
+            ("dense", "dense/fused.ply.vis"),
             ("dense", "dense/sparse/cameras.bin"),
             ("dense/stereo/depth_maps/a.jpg.geometric.bin",) * 2,
         )
@@ -313,6 +314,28 @@ def geometry(bench: Bench, rng: Rng) -> Attempt:
     head = path.suffix == ".ply" and rng.random() < 0.5
     harm(path, rng, _header if head else _glb if path.suffix == ".glb" and rng.random() < 0.5 else how_for(path))
     return Attempt(("apply", "in/sim3.json", f"in/{name}", "--out", "out"))
+
+
+def workspaces(bench: Bench, rng: Rng) -> Attempt:
+    """Dense workspaces of COLMAP: files damaged, cut short, missing, exchanged, of another model."""
+    dense = bench.take("geometry") / "dense"
+    files = sorted(path for path in dense.rglob("*") if path.is_file())
+    for path in rng.sample(files, rng.randrange(1, 3)):
+        what = rng.randrange(5)
+        if what == 0:
+            path.unlink()
+        elif what == 1:
+            path.write_bytes(path.read_bytes()[: rng.randrange(path.stat().st_size + 1)])
+        elif what == 2:
+            shutil.copy(rng.choice(sorted((bench.corpus / "geometry/dense").rglob("*.*"))), path)
+        else:
+            harm(path, rng, _header if path.suffix == ".ply" and rng.random() < 0.5 else how_for(path))
+    if rng.random() < 0.5:
+        return Attempt(("apply", "in/sim3.json", "in/dense", "--out", "out"))
+    bench.take("colmap-bin", "boxes.json")
+    shutil.copytree(bench.corpus / "colmap-bin/sparse/0", dense.parent / "sparse")
+    ask = ("--detections", "in/boxes.json", "--fleet", "DE", "--mode", "planar", "--anchors", "none")
+    return Attempt(("fix", "in/sparse", *ask, "--report", "none", "--dense", "--out", "out"))
 
 
 def other_geometry(bench: Bench, rng: Rng) -> Attempt:
@@ -608,6 +631,7 @@ CLASSES: dict[str, tuple[Callable[[Bench, Rng], Attempt], int]] = {
     "photos": (photos, 300),
     "data sets": (datasets, 250),
     "clouds, meshes, depth": (geometry, 900),
+    "dense workspaces": (workspaces, 200),
     "PCD, LAZ, XYZ, STL, OFF, splats": (other_geometry, 300),
     "ONNX": (onnx_files, 200),
     "deep, huge and odd values": (values, 200),

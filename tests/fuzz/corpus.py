@@ -149,11 +149,12 @@ def _strange(folder: Path) -> None:
         "float": ("float32", 3, 300, 300), "word": ("uint16", 1, 300, 300), "signed": ("int16", 4, 300, 300),
         "complex": ("complex64", 1, 300, 300), "bands": ("uint8", 17, 300, 300), "dot": ("uint8", 3, 1, 1),
         "line": ("uint8", 3, 1, 30000), "double": ("float64", 3, 300, 300),
+        "radar": ("complex_int16", 1, 300, 300),
     }  # fmt: skip
     for name, (kind, count, height, width) in kinds.items():
         profile = {"driver": "GTiff", "width": width, "height": height, "count": count, "dtype": kind}
         with rasterio.open(folder / f"{name}.tif", "w", **profile) as file:
-            data = rng.uniform(0, 200, (count, height, width)).astype(kind)
+            data = rng.uniform(0, 200, (count, height, width)).astype("int16" if name == "radar" else kind)
             if name in ("float", "double"):
                 data[:, ::3] = np.nan
             file.write(data)
@@ -281,9 +282,13 @@ def _geometry(folder: Path) -> None:
     (folder / "text.stl").write_text(f"solid a\n{triangle}endsolid a\n")
     (folder / "binary.stl").write_bytes(bytes(80) + struct.pack("<I12fH", 1, *range(12), 0))
     (folder / "points.splat").write_bytes(struct.pack("<6f8B", *range(14)) * 3)
-    geometry.dense_workspace(folder / "dense")
-    shutil.rmtree(folder / "dense/sparse")
-    save(make_model(*PINHOLE, points=POINTS)[0], folder / "dense/sparse", "bin")
+    model = make_model(*PINHOLE, points=POINTS)[0]
+    geometry.dense_workspace(folder / "dense", model)
+    xyz = np.array([point.xyz for point in model.points3D.values()])
+    cloud = np.repeat(xyz, 5, axis=0) + np.random.default_rng(2).normal(0, 0.02, (5 * len(xyz), 3))
+    geometry.ply(folder / "dense/fused.ply", "binary_little_endian", ["x", "y", "z"], cloud)
+    seen = np.tile(np.array([2, 0, 1], "<u4"), len(cloud))  # each point in the first two images
+    (folder / "dense/fused.ply.vis").write_bytes(struct.pack("<Q", len(cloud)) + seen.tobytes())
 
 
 def _networks(folder: Path) -> None:

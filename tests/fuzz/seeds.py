@@ -50,6 +50,32 @@ def edited(path: Path, edit: Callable[[Any], Any]) -> None:
     path.write_text(json.dumps(document if other is None else other))
 
 
+# Wrong answers without a word
+
+
+@seed("wrong answer: boxes of the picture before it was resized")
+def _boxes_of_another_size(bench: Bench) -> Attempt:
+    inside = bench.take("ortho", "ortho.tif", "boxes.json")
+    edited(inside / "boxes.json", lambda text: text.update(picture_sizes={"ortho.tif": [200, 200]}))
+    return ends(ESTIMATE, 5)
+
+
+@seed("wrong answer: a dense cloud of another run")
+def _foreign_cloud(bench: Bench) -> Attempt:
+    dense = bench.take("geometry") / "dense"
+    head, mark, rows = (dense / "fused.ply").read_bytes().partition(b"end_header\n")
+    (dense / "fused.ply").write_bytes(head + mark + (7 * np.frombuffer(rows, "<f4") + 30).astype("<f4").tobytes())
+    return ends(("apply", "in/sim3.json", "in/dense", "--out", "out"), 5)
+
+
+@seed("wrong answer: a layout by an edited pixel size")
+def _edited_pixel_size(bench: Bench) -> Attempt:
+    inside = bench.take("settings")
+    edited(inside / "scaled.tif.json", lambda text: text.update(scale=0.23, interval90=[0.22, 0.24]))
+    ask = ("--lot", "in/lot.geojson", "--facility", "tennis", "--out", "out")
+    return ends(("layout", "in/scaled.tif", *ask), 5)
+
+
 # 1, 2, 3: outputs on inputs
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import shutil
 import struct
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 
 SPARSE = Path(__file__).parents[2] / "examples" / "sheffield" / "sparse"
 XYZ = np.array([[1.0, 2, 3], [-4, 0.5, 6], [0, 0, -0.25]])
@@ -40,7 +40,8 @@ def glb(path: Path, text: dict, binary: bytes = b"\1\2\3\4") -> Path:
     return path
 
 
-def dense_workspace(folder: Path) -> Path:
+def dense_workspace(folder: Path, model: pycolmap.Reconstruction | None = None) -> Path:
+    """With the undistorted `model`, or the example's, whose first image becomes ``a.jpg`` without points."""
     (folder / "stereo" / "depth_maps").mkdir(parents=True)
     (folder / "stereo" / "normal_maps").mkdir()
     (folder / "images").mkdir()
@@ -53,7 +54,13 @@ def dense_workspace(folder: Path) -> Path:
     ply(folder / "fused.ply", "binary_little_endian", ["x", "y", "z", "nx", "ny", "nz"], np.hstack([XYZ, XYZ]))
     ply(folder / "meshed-poisson.ply", "ascii", ["x", "y", "z"], XYZ, faces=True)
     (folder / "fused.ply.vis").write_bytes(b"visibility")
-    shutil.copytree(SPARSE, folder / "sparse")
+    model = pycolmap.Reconstruction(SPARSE if model is None else model)
+    image = model.image(min(model.reg_image_ids()))
+    for seen in [k for k, point in enumerate(image.points2D) if point.has_point3D()]:
+        model.delete_observation(image.image_id, seen)
+    image.name = "a.jpg"  # which sees none of the points, so that any depths may be its
+    (folder / "sparse").mkdir()
+    model.write(folder / "sparse")
     return folder
 
 

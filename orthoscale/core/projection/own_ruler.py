@@ -134,7 +134,8 @@ class OwnRuler:
         """
         views, metres_per_unit = seen.views, seen.metres_per_unit
         xylwa = seen.boxes.xylwa.copy()
-        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] - self.margin / seen.zoom, 1e-6)
+        # A share of the box, not a length: boxes from above are in model units, however large these are.
+        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] - self.margin / seen.zoom, 1e-6 * xylwa[:, 2:4])
         swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
         xylwa[swapped, 2:4] = seen.boxes.xylwa[swapped, 2:4]
         tight = Boxes(xylwa, seen.boxes.score)

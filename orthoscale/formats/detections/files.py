@@ -21,7 +21,7 @@ from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
 from .classes import plain
-from .items import Item, boxes_by_picture, other_name, sizes_of
+from .items import Item, boxes_by_picture, other_name, rectangles, sizes_of
 from .own import WHAT, note, noted, of_document, save_detections
 
 FORMATS = {
@@ -31,6 +31,9 @@ FORMATS = {
     ".geojson": "GeoJSON",
     ".gpkg": "GeoPackage",
 }
+# Boxes that differ by more from their stated lengths are in a resampled picture. Hands that redraw boxes change their
+# lengths by a few percent; less resampling changes little, since the boxes themselves follow the map.
+RESAMPLED = 1.2
 READABLE = {**FORMATS, ".txt": "DOTA or Ultralytics text", ".csv": "a table"}
 
 
@@ -58,15 +61,15 @@ def output_of(outputs: Outputs, path: Path | None) -> Path | None:
 
 
 def save(found: Detections, path: Path, source: Pictures) -> None:
-    """Write `found` to `path` in the format of its ending. Raises UsageError.
+    """Write `found` to `path` in the format of its ending, with the sizes of its pictures. Raises UsageError.
 
     From all formats but DOTA's text, `load` restores everything that was saved, to the digits written. DOTA's text has
-    only the vehicles' corners, scores and pictures: no zoom, ruler, sigmas, kinds, boxes that do not count, objects or
-    ground pictures.
+    only the vehicles' corners, scores and pictures: no zoom, ruler, sigmas, kinds, boxes that do not count, objects,
+    ground pictures or sizes.
     """
     check_name(path)
     suffix = path.suffix.lower()
-    found = found.renamed(in_utf8)
+    found = found.made_on(_sizes(source)).renamed(in_utf8)
     if suffix == ".txt":
         dota.write(path, found.boxes, [in_utf8(name) for name in source.picture_names])
     elif suffix == ".gpkg":
@@ -74,8 +77,8 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     elif suffix == ".geojson":
         _write(geo.geojson(found.boxes, _place(source), note(found)), path)
     elif path.name.lower().endswith(".coco.json"):
-        sizes = {in_utf8(name): size for name, size in _sizes(source).items()}
-        _write(coco.document(found.boxes, sizes, note(found)), path)
+        # COCO has a place of its own for the sizes.
+        _write(coco.document(found.boxes, found.sizes, note(replace(found, sizes={}))), path)
     else:
         save_detections(found, path)
 
@@ -87,7 +90,7 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
     whether the file is for this source only. Standard objects (tennis courts ...) become `Detections.objects`. Boxes
     from other programs have no known ruler: they get that of an unmeasured detector. Boxes that repeat a vehicle are
     left out. If file and source have a single picture each, the names need not agree, with a note, if it is `alone`.
-    Raises InputError.
+    Raises InputError, also for boxes that were made on a picture of another size, where the file tells.
     """
     suffix = path.suffix.lower()
     kept: Mapping[str, Any] | None = None
@@ -115,12 +118,17 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
     if other is not None:
         (name,) = source.picture_names
         items = [replace(item, picture=name) for item in items]
-        sizes = {name: sizes[other]} if other in sizes else {}
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
     found = noted(boxes, kept, f"boxes of {path.name}", str(path))
     if not found.objects:
         found = replace(found, objects=_objects(items, own_sizes, path))
-    _check_sizes(sizes_of(sizes, source.picture_names), own_sizes, path)
+    if kept is not None:
+        _check_resampled(items, path)
+    found = replace(found, sizes={**found.sizes, **sizes})
+    if other is not None:
+        found = found.renamed(lambda picture: name if picture == other else picture)
+    if any(item.on_map for item in items):
+        found = _on_this_map(found, source, path, own_sizes)
     return _checked(found, source, path, own_sizes, other)
 
 
@@ -135,6 +143,29 @@ def _of_own_document(
     if other is not None:
         found = found.renamed(lambda name: source.picture_names[0])
     return _checked(found, source, path, sizes, other)
+
+
+def _check_resampled(items: Sequence[Item], path: Path) -> None:
+    """Raise InputError if `items`, which we saved in coordinates of a map, are longer or shorter now, in pixels: the
+    picture was resampled, and the resampling factor and sigmas in the file are of other pixels."""
+    lengths = rectangles([item.polygon for item in items])[:, 2] / [item.length_px for item in items]
+    lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
+    if len(lengths) and abs(np.log(ratio := float(np.median(lengths)))) > np.log(RESAMPLED):
+        raise InputError(
+            f"{path}: its boxes are {ratio:.3g} times as long in this picture as in the one they were made on [px]",
+            "The picture was resampled: give the original, or detect anew.",
+        )
+
+
+def _on_this_map(found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]]) -> Detections:
+    """`found`, whose vehicles have coordinates on a map, which fit other cuts of the same picture too. What a file has
+    besides, in pixels, fits only the picture it was made on, and is left out of others, with a note."""
+    if all(size == sizes[name] for name, size in sizes_of(found.sizes, source.picture_names)):
+        return found
+    if found.doubtful or found.set_aside or found.objects:
+        text = "was made on another cut of this picture: its vehicles count, but not what else was found there"
+        source.notes.append(Remark(INFO, f"{path} {text}"))
+    return replace(found, doubtful={}, set_aside={}, objects={}, sizes={})
 
 
 def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Path) -> list[Item]:
@@ -193,6 +224,7 @@ def _checked(
 
     Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
     """
+    _check_sizes(sizes_of(found.sizes, source.picture_names), sizes, path)
     found = _in_source(_named_as_in(sizes, found), source, path)
     _check_boxes(found, sizes, path)
     _check_places(found.boxes, sizes, path, other)
@@ -211,7 +243,8 @@ def _named_as_in(names: Collection[str], found: Detections) -> Detections:
     or of other Unicode characters that look the same."""
     exact = {in_utf8(name): name for name in names}
     found = found.renamed(lambda name: exact.get(name, name))
-    alike = _by_composed([name for name in names if name not in found.boxes])
+    forms = Counter(map(composed, found.boxes))  # a file with both forms of a name means two pictures
+    alike = _by_composed([name for name in names if forms[composed(name)] < 2])
     return found.renamed(lambda name: name if name in names else alike.get(composed(name), name))
 
 

@@ -30,6 +30,7 @@ LAYER = "vehicles"
 # GeoPackage has no lists: the columns that hold the values of each list.
 LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
+LENGTH_FIELD = "length_px"  # the property of a feature
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | Non
         shape = feature.geometry
         kind, rings = (None, None) if shape is None else (shape.type, shape.coordinates)
         ring = _ring(kind, rings, f"{origin}: feature {number}")
-        items.append(_item(_in_pixels(ring, place, crs, origin), feature.properties or {}))
+        items.append(_item(_in_pixels(ring, place, crs, origin), feature.properties or {}, place is not None))
     return items
 
 
@@ -157,7 +158,7 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
         there = {"type": None, "coordinates": None} if shape is None else shapely.geometry.mapping(shape)
         ring = _ring(there["type"], there.get("coordinates"), what)
         properties = {name: column[number - 1] for name, column in zip(meta["fields"], columns, strict=True)}
-        items.append(_item(_in_pixels(ring, place, crs, str(path)), properties))
+        items.append(_item(_in_pixels(ring, place, crs, str(path)), properties, place is not None))
     return items, note
 
 
@@ -173,7 +174,7 @@ def write_geopackage(
 
     features = list(_features(boxes, place))
     polygons = shapely.polygons([polygon for polygon, _ in features]) if features else np.empty(0, object)
-    fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
+    fields = ("picture", "score", "class", LENGTH_FIELD, "width_px", "angle_deg")
     columns = [np.array([properties[name] for _, properties in features]) for name in fields]
     columns = [c.astype(object) if k in (0, 2) else c.astype(float) for k, c in enumerate(columns)]
     lists = [
@@ -217,7 +218,7 @@ def _features(
                     "picture": picture,
                     "score": round(float(score), 4),
                     "class": LABEL,
-                    "length_px": round(float(row[2]), 3),
+                    LENGTH_FIELD: round(float(row[2]), 3),
                     "width_px": round(float(row[3]), 3),
                     "angle_deg": round(float(np.degrees(row[4])), 3),
                     **more,
@@ -260,14 +261,23 @@ def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:
     return ring
 
 
-def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
+def _item(polygon: np.ndarray, properties: Mapping[str, Any], on_map: bool) -> Item:
     label, picture = first(properties, CLASS), first(properties, PICTURE)
     told = first(properties, SCORE_NAMES)
     score = 1.0 if told is None else _number(told)
     length, width = _list(properties, "sigma")
     name = None if picture is None else str(picture)
     kinds = _list(properties, "kinds")
-    return Item(polygon, score, None if label is None else str(label), name, (length, width), kinds)
+    return Item(
+        polygon,
+        score,
+        None if label is None else str(label),
+        name,
+        (length, width),
+        kinds,
+        on_map=on_map,
+        length_px=_number(properties.get(LENGTH_FIELD)),
+    )
 
 
 def _list(properties: Mapping[str, Any], of: str) -> list[float]:

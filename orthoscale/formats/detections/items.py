@@ -31,6 +31,8 @@ class Item:
     polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file has none. label : class
     name, None where the file has none; such boxes count as vehicles. sigma, kinds : as in `Boxes`, None where unknown.
     relative : the polygon's coordinates are shares of the picture's width and height instead of pixels.
+    on_map : the polygon comes from coordinates on a map. length_px : the length that the file states for it [px of the
+    picture it was made on], NaN where it states none.
     """
 
     polygon: np.ndarray
@@ -40,6 +42,8 @@ class Item:
     sigma: tuple[float | None, float | None] = (None, None)
     kinds: Sequence[float | None] | None = None
     relative: bool = False
+    on_map: bool = False
+    length_px: float = float("nan")
 
 
 def rectangles(polygons: Sequence[np.ndarray]) -> np.ndarray:

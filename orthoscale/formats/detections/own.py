@@ -73,7 +73,7 @@ def about(found: Detections) -> dict[str, Any]:
 
 def note(found: Detections) -> dict[str, Any]:
     """What a file of another format keeps besides the vehicles' boxes, so that `noted` can restore everything: `about`,
-    the boxes that do not count, the objects, and `planar`, as plain values."""
+    the boxes that do not count, the objects, `planar` and the pictures' sizes, as plain values."""
     objects = {name: rows for name in found.objects if (rows := _object_rows(found, name))}
     return {**about(found), **_rest(found), **({"objects": objects} if objects else {})}
 
@@ -104,6 +104,7 @@ def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detection
         planar=None if entry.planar is None else _whole(entry.planar, name),
         body=entry.body,
         set_aside={why: _vehicles(pictures) for why, pictures in entry.set_aside.items()},
+        sizes=entry.picture_sizes,
     )
 
 
@@ -123,7 +124,11 @@ def _rest(found: Detections) -> dict[str, Any]:
         rest["doubtful"] = _pictures(found.doubtful)
     if found.set_aside:
         rest["set_aside"] = {why: _pictures(boxes) for why, boxes in found.set_aside.items()}
-    return rest if found.planar is None else {**rest, "planar": _document(found.planar)}
+    if found.planar is not None:
+        rest["planar"] = _document(found.planar)
+    if found.sizes:
+        rest["picture_sizes"] = {name: list(size) for name, size in found.sizes.items()}
+    return rest
 
 
 def _pictures(boxes: Mapping[str, Boxes]) -> dict[str, list[dict[str, Any]]]:

@@ -14,10 +14,12 @@ from ...system.paths import homes
 from ..names import first_few
 from ..reading import HUGE, files_below, read_bytes
 from .lengthless import has_lengths
+from .ply import vertex_count
 
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
 FRAMES = "images"  # the folder of undistorted frames
 MOST_LEFT_NAMED = 20  # files left out that a note names; OpenMVS has a depth map for each image
+VISIBILITY_HEAD = 8  # bytes of the number of points at the beginning of a list of the images that see them
 COMPUTE_ANEW = "The file is damaged or was cut off: copy it or compute it again."
 
 
@@ -72,11 +74,44 @@ def find_dense(model: Path) -> Path | None:
     return None
 
 
+def visibility_fault(cloud: Path, images: int) -> str:
+    """What is wrong with COLMAP's list beside a cloud (``fused.ply.vis``) of the images that see each point, as a
+    sentence; empty if nothing is, or there is no list. It has no lengths, but meshing needs it. images : number of
+    images in the undistorted model. Raises InputError for a cloud whose header cannot be read, OSError."""
+    path = cloud.with_name(cloud.name + ".vis")
+    if not path.is_file():
+        return ""
+    cut, size = f"{path} is damaged or was cut off", path.stat().st_size
+    if size < VISIBILITY_HEAD or size % 4:
+        return cut
+    with path.open("rb") as file:
+        count = int.from_bytes(file.read(VISIBILITY_HEAD), "little")
+    if count != (known := vertex_count(cloud)):
+        return f"{path} lists {count:,} points, but {cloud.name} has {known:,}: meshing will not take them together"
+    if size == VISIBILITY_HEAD:
+        return cut if count else ""
+    words = np.memmap(path, "<u4", "r", VISIBILITY_HEAD)  # for each point the number of images, and their numbers
+    if words.max() > images:
+        return f"{path} names images that the undistorted model lacks"
+    each, at = words.data, 0
+    try:
+        for _ in range(count):
+            at += each[at] + 1
+    except IndexError:
+        return cut
+    return "" if at == len(words) else cut
+
+
 def sparse_folders(dense: Path) -> list[Path]:
     """The folders of undistorted sparse models in the workspace `dense`."""
     sparse = dense / "sparse"
     folders = [sparse, *sorted(p for p in sparse.iterdir() if p.is_dir())] if sparse.is_dir() else []
-    return [f for f in folders if any((f / f"cameras.{form}").is_file() for form in ("bin", "txt"))]
+    return [f for f in folders if sparse_in(f)]
+
+
+def sparse_in(folder: Path) -> bool:
+    """Whether a sparse model of COLMAP lies in `folder`."""
+    return any((folder / f"cameras.{form}").is_file() for form in ("bin", "txt"))
 
 
 def scale_dense(

@@ -126,6 +126,12 @@ def read_points(path: Path) -> np.ndarray:
     return np.concatenate([np.empty((0, 3)), *points_in(path, MOST_POINTS)])
 
 
+def vertex_count(path: Path) -> int:
+    """The number of vertices that the header of the PLY file `path` announces. Raises InputError, OSError."""
+    with path.open("rb") as file:
+        return sum(element.count for element in _header(path, file)[2] if element.name == "vertex")
+
+
 def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
     """Blocks (N, 3) of the vertices of the PLY file `path`, thinned to `most` at most. Never more than ROWS are in
     memory. progress : called with the number of vertices passed, and their total. Raises InputError."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from .networks import Height, RulerEntry, check_body
-from .values import Name, Px, PxLength, Share, Text
+from .values import Name, Px, PxLength, Share, Size, Text
 
 BoxSigma = Annotated[float, Meta(ge=0, le=10)] | None
 
@@ -43,6 +43,7 @@ class NoteEntry(Struct, kw_only=True):
     set_aside: dict[Text, BoxesByPicture] = {}
     objects: BoxesByPicture = {}
     planar: DetectionsEntry | None = None
+    picture_sizes: dict[Text, tuple[Size, Size]] = {}
 
     def __post_init__(self) -> None:
         check_body(self.body)

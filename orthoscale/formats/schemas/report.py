@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
+from ...core.scale import PER_PIXEL
 from .values import Count, Finite, Metres, Name, Positive, Px, PxLength, Share, Sigma, Text, Weight
 
 
@@ -14,6 +15,13 @@ class ReportScale(Struct):
 
     scale: Positive
     interval90: tuple[Positive, Positive]
+
+
+class ReportOfPictures(ReportScale):
+    """The same with its unit and the sizes [px] of the pictures it was measured in, where the report has them."""
+
+    unit: Name = PER_PIXEL
+    pictures: dict[str, tuple[Count, Count]] = {}
 
 
 class ReportRemark(Struct):

@@ -1,0 +1,171 @@
+"""Dense clouds: cropped, cleaned and foreign ones are told apart; what else is wrong with a dense workspace is said."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.models import make_model
+from test_dense_ground import write_cloud
+
+from orthoscale.actions.apply import apply
+from orthoscale.errors import InputError
+from orthoscale.formats.geometry.dense import visibility_fault
+from orthoscale.sources.cloud_fit import cloud_fit
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.dense_cloud import check_workspace
+from orthoscale.sources.scaling import scale_path
+
+HEIGHT = 5.0  # of the cameras, in model units
+
+
+def hills(rng, count, noise):
+    """(count, 3) points of ground with hills, about as far from the cameras as those of a COLMAP model."""
+    xy = rng.uniform(-8, 8, (count, 2))
+    z = 0.4 * np.sin(xy[:, 0]) * np.cos(0.7 * xy[:, 1]) - HEIGHT + rng.normal(0, noise * HEIGHT, count)
+    return np.column_stack([xy, z])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Sparse points, cameras, and the dense cloud."""
+    rng = np.random.default_rng(1)
+    centres = np.column_stack([rng.uniform(-6, 6, (30, 2)), rng.normal(0, 0.1, 30)])
+    return hills(rng, 4000, 0.002), centres, hills(rng, 800_000, 0.001)
+
+
+def turned(cloud, degrees):
+    return Rotation.from_euler("xyz", [degrees, degrees / 2, degrees], degrees=True).apply(cloud)
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [
+        lambda cloud: cloud,
+        lambda cloud: cloud[::4],
+        lambda cloud: cloud[(np.abs(cloud[:, :2]) < 1.25).all(1)],
+        lambda cloud: cloud[cloud[:, 0] > 3],
+        lambda cloud: cloud[cloud[:, 2] > -HEIGHT],  # the hills alone
+        lambda cloud: 1.002 * cloud,  # the model was adjusted once more
+    ],
+)
+def test_a_part_of_its_cloud_is_the_models_own(scene, cut):
+    sparse, centres, cloud = scene
+    fit = cloud_fit(sparse, centres, np.array_split(cut(cloud), 3))
+    assert fit.own and not fit.another, fit
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda cloud: 1.05 * cloud,
+        lambda cloud: 0.97 * cloud,
+        lambda cloud: 14.2 * cloud,
+        lambda cloud: turned(cloud, 5),
+        lambda cloud: turned(cloud, 70),
+        lambda cloud: cloud + (0, 0, 0.3),
+        lambda cloud: cloud + (5e5, 5e6, 100),  # in coordinates of a map
+        lambda cloud: 1e307 * cloud,
+        lambda cloud: 14.2 * cloud[(np.abs(cloud[:, :2]) < 1.25).all(1)],
+    ],
+)
+def test_a_cloud_of_another_run_is_none_of_the_model(scene, change):
+    sparse, centres, cloud = scene
+    fit = cloud_fit(sparse, centres, [change(cloud)])
+    assert fit.another and not fit.own, fit
+
+
+@pytest.mark.parametrize("few", [lambda cloud: cloud[:100], lambda cloud: cloud[::400], lambda cloud: cloud[:0]])
+def test_of_few_points_nothing_is_said(scene, few):
+    sparse, centres, cloud = scene
+    for points in (few(cloud), 3 * few(cloud)[:900]):
+        fit = cloud_fit(sparse, centres, [points])
+        assert not fit.another and not fit.own, fit
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    """A model, and its dense workspace with a cloud: (folder of the model, cloud)."""
+    model, _ = make_model()
+    for place in (tmp_path / "model/sparse", tmp_path / "model/dense/sparse"):
+        place.mkdir(parents=True)
+        model.write(place)
+    (tmp_path / "model/dense/stereo").mkdir()
+    axes = np.linalg.svd(np.array([p.xyz for p in model.points3D.values()]))[2]  # the last is up
+    places = np.random.default_rng(0).uniform(-12, 12, (200_000, 3)) * (1, 1, 0.001)
+    return tmp_path / "model", places @ axes
+
+
+@pytest.mark.parametrize("name", ["fused.ply", "meshed-poisson.ply"])
+def test_what_is_not_of_the_model_is_not_said_to_be_in_metres(workspace, tmp_path, name):
+    folder, cloud = workspace
+    up = np.linalg.svd(cloud[:1000])[2][2]
+    write_cloud(folder / "dense" / name, cloud)
+    assert check_workspace(folder / "dense") == []
+    write_cloud(folder / "dense" / name, cloud[cloud[:, 0] > 0])
+    assert check_workspace(folder / "dense") == []
+    write_cloud(folder / "dense" / name, 2 * cloud + cloud.std() * up)
+    with pytest.raises(InputError, match=f"{name} is not of the model"):
+        _ = ColmapSource.open(folder, need_images=False).dense
+    (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match=f"{name} is not of the model"):
+        scale_path(folder / "dense", tmp_path / "out", 2.0)
+
+
+def test_depth_maps_that_are_missing_are_said(workspace):
+    folder, cloud = workspace
+    source = ColmapSource.open(folder, need_images=False)
+    write_cloud(folder / "dense/fused.ply", cloud)
+    (maps := folder / "dense/stereo/depth_maps").mkdir(parents=True)
+    for name in source.picture_names:
+        (maps / f"{name}.photometric.bin").write_bytes(b"1&1&1&" + bytes(4))
+        (maps / f"{name}.geometric.bin").write_bytes(b"1&1&1&" + bytes(4))
+    assert check_workspace(folder / "dense") == []
+    for name in source.picture_names[:5]:
+        (maps / f"{name}.geometric.bin").unlink()
+    (remark,) = check_workspace(folder / "dense")
+    said = "has no geometric depth maps of 5 of 12 images: 00.png, 01.png, 02.png and 2 more"
+    assert remark.text == f"{folder / 'dense'} {said}" and remark.severity == "caution"
+    _ = source.dense
+    assert remark in source.notes
+
+
+def test_a_list_of_visible_images_that_does_not_fit_its_cloud_is_said(workspace):
+    folder, cloud = workspace
+    path = write_cloud(folder / "dense/fused.ply", cloud[:2000])
+    seen = path.with_name("fused.ply.vis")
+    rows = [np.arange(k % 5 + 1) for k in range(2000)]
+    whole = b"".join(np.array([len(row), *row], "<u4").tobytes() for row in rows)
+    fine = (2000).to_bytes(8, "little") + whole
+    for data, why in (
+        (fine, ""),
+        (fine[:-2], "cut off"),
+        (fine[:-4], "cut off"),
+        (fine[:8], "cut off"),
+        (fine[:5], "cut off"),
+        (b"", "cut off"),
+        (fine + bytes(4), "cut off"),
+        ((1999).to_bytes(8, "little") + whole, "lists 1,999 points, but fused.ply has 2,000"),
+        (fine[:-4] + (12_000).to_bytes(4, "little"), "names images that the undistorted model lacks"),
+    ):
+        seen.write_bytes(data)
+        assert (why in visibility_fault(path, 12)) if why else not visibility_fault(path, 12), why
+    assert any("fused.ply.vis names images" in remark.text for remark in check_workspace(folder / "dense"))
+
+
+def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path):
+    folder, cloud = workspace
+    source = ColmapSource.open(folder, need_images=False)
+    (tmp_path / "metric").mkdir()
+    source.write(tmp_path / "metric", 2.5)
+    paths = {}
+    for name, points in (("own", cloud), ("part", cloud[cloud[:, 0] > 0]), ("other", 40 + cloud)):
+        paths[name] = write_cloud(tmp_path / f"{name}.ply", points)
+    said = apply(tmp_path / "metric/sim3.json", list(paths.values()), tmp_path / "out")
+    assert {path.name for path, notes in said.items() if notes} == {"other.ply"}
+    assert "does not lie on the sparse points" in said[tmp_path / "out/other.ply"][0]
+    (tmp_path / "alone").mkdir()
+    shutil.copy(tmp_path / "metric/sim3.json", tmp_path / "alone")
+    assert not apply(tmp_path / "alone/sim3.json", paths["other"], tmp_path / "again")[tmp_path / "again/other.ply"]
