@@ -135,14 +135,20 @@ def _of_two(first: str, second: str) -> str | None:
 
 
 def nearest_names(text: str, known: Callable[[str], bool]) -> list[str]:
-    """Up to five names that begin with `text` or are spelled like it, with their codes: ``germany (DE)``. Only names
+    """Up to five names that begin with `text` or are spelled like it, with their codes: ``Germany (DE)``. Only names
     whose code is `known` (to the caller) are considered."""
     wanted = _plain(text)
     names = {name: code for name, code in _names().items() if known(code)}
     words = [name for name in names if len(name) > 3]  # no codes: one that differs in a letter is another country's
     begun = [name for name in words if name.startswith(wanted + " ")]
     near = dict.fromkeys([*begun, *get_close_matches(wanted, words, n=5, cutoff=0.7)])
-    return [f"{name} ({names[name]})" for name in near if name != wanted][:5]
+    return [f"{_written(name, names[name])} ({names[name]})" for name in near if name != wanted][:5]
+
+
+def _written(name: str, code: str) -> str:
+    """A `_plain` name of the country `code` as people write it."""
+    english = country_name(code)
+    return english if _plain(english) == name else name.title()
 
 
 def namesake(code: str) -> str | None:

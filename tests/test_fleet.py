@@ -145,13 +145,13 @@ def test_a_country_without_a_fleet_takes_a_neighbours_or_its_regions_less_certai
 
 
 def test_a_misspelt_country_is_refused_with_the_nearest_names():
-    with pytest.raises(UsageError, match=r"germany \(DE\)"):
+    with pytest.raises(UsageError, match=r"Germany \(DE\)"):
         load_fleet("Germny")
     with pytest.raises(UsageError, match=r"\(CD\).*\(CG\)"):
         load_fleet("Congo")
     with pytest.raises(UsageError, match="--registrations"):
         load_fleet("data/register.csv")
-    with pytest.raises(UsageError, match=r"germany \(DE\)"):
+    with pytest.raises(UsageError, match=r"Germany \(DE\)"):
         load_fleet("Germny/")
     with pytest.raises(UsageError) as caught:
         load_fleet("AQ")
