@@ -93,7 +93,8 @@ class FramesGeometry:
             raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
         sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
-        footing = standing_in_model(source, np.array(names), place, sides)
+        shown = shown_in_frames(source, found, boxes, place)
+        footing = standing_in_model(source, np.array(names), place, sides, shown)
         view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)
         seen = (source, found, fleet, boxes, np.array(names), view, lost, footing)
         if method.projection in (None, "exact"):
