@@ -21,9 +21,9 @@ from ..source import PosedSet
 from ..votes import FOUND_IN, SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing
 
-# Range and step of the search for the ground, in camera heights below the sheet. 0.25 below it: trees and roofs of 15 m
-# under a flight at 60 m. 0.06 above it: outliers below the ground may have drawn the sheet down.
-LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.06, 0.005
+# Range and step of the search for the ground, in camera heights below the sheet: trees and roofs of 15 m under a flight
+# at 60 m. As far above it, too: where the sheet lies on the ground, vehicles may stand on a parking deck or a bridge.
+LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.25, 0.005
 COINCIDING = 0.3  # of a vehicle's width: sigma of the Gaussian score of how well two places coincide
 CLEARLY = 1.2, 2.0  # factor and number of pairs by which the score must exceed that of the default depth
 FEWEST_STANDING = 3  # vehicles seen in several frames; fewer are not used
@@ -43,8 +43,9 @@ BOXES_AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand ve
 LEAST_VARIANCE = 4e-12  # of a place's height, as a share of the reach squared: the rounding error
 # From which share of the boxes that other frames should confirm (parked vehicles: FOUND_IN of those that show a place)
 # these do is there a parallax. Of four real models one has 0.7 (dark cars, many mistakes), the others 0.9 and more;
-# simulated traffic has 0.05 to 0.35, by coincidence, and 0.5 where it moves by less than a width from view to view.
-FOUND_AGAIN = 0.5
+# simulated traffic has 0.05 to 0.35, by coincidence, and up to 0.6 along a strip, where half of it comes towards the
+# camera, or where it moves by less than a width from view to view.
+FOUND_AGAIN = 0.65
 STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are of more than one
 
 
