@@ -3,6 +3,8 @@
     python benchmarks/flights.py                       # 300 simulated flights: ten minutes to half an hour
     python benchmarks/flights.py --flights 40 --known  # fleet and box bias are known: what geometry adds
     python benchmarks/flights.py --flights 40 --dense  # the same flights with a dense cloud beside each model
+    python benchmarks/flights.py --flights 12 --deck 8   # all vehicles on a parking deck of 8 m
+    python benchmarks/flights.py --flights 12 --speed 3  # all vehicles drive, 3 m from frame to frame
 
 Simulated blocks (`tests/support/blocks.py`): nadir, oblique, grid and strip flights over slopes, trees and roofs, few
 or many sparse points, and models whose focal length is 10 to 20 % too long. Boxes are those of a perfect detector with
@@ -19,7 +21,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +70,13 @@ ROWS: dict[str, Callable[[Outcome], bool]] = {
 }
 
 
-def outcome(number: int, known: bool, dense: bool) -> Outcome:
-    """The outcome of the flight of that number. Raises OrthoscaleError if it has no scale."""
+def outcome(number: int, known: bool, dense: bool, deck: float, speed: float) -> Outcome:
+    """The outcome of the flight of that number. deck [m], speed [m a frame]: of its vehicles.
+
+    Raises OrthoscaleError if it has no scale.
+    """
     rng = np.random.default_rng([19, number])
-    conditions = Conditions.drawn(rng, KINDS[number % len(KINDS)])
+    conditions = replace(Conditions.drawn(rng, KINDS[number % len(KINDS)]), deck=deck, speed=speed)
     fleet = load_fleet(FLEETS[number % len(FLEETS)])
     if known:
         fleet = exactly(fleet)
@@ -115,6 +120,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--known", action="store_true", help="nothing but geometry, bodies and luck is unknown")
     parser.add_argument("--dense", action="store_true", help="a dense cloud lies beside each model")
+    parser.add_argument("--deck", type=float, default=0.0, metavar="METRES", help="height of a deck under all vehicles")
+    parser.add_argument("--speed", type=float, default=0.0, metavar="METRES", help="that vehicles drive between frames")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="keep each flight there, and read those that it has")
     asked = parser.parse_args()
     kept: dict[int, Any] = {}
@@ -124,7 +131,7 @@ def main() -> None:
     for number in range(asked.first, asked.first + asked.flights):
         if number not in kept:
             try:
-                kept[number] = asdict(outcome(number, asked.known, asked.dense))
+                kept[number] = asdict(outcome(number, asked.known, asked.dense, asked.deck, asked.speed))
             except OrthoscaleError as error:
                 kept[number] = error.message
             if asked.rows:

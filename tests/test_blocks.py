@@ -45,6 +45,20 @@ def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["nadir", "oblique"])
+def test_on_a_parking_deck_too(kind):
+    off, _, block = error(Conditions(kind, points=300, deck=9.0, bare=0.98, vehicles=40), 7)
+    assert np.median(block.terrain_error) > 0.07, "the sheet lies on the deck: nothing is tested"
+    assert abs(off) < 0.02
+
+
+@pytest.mark.slow
+def test_vehicles_that_drive_do_not():
+    off, measured, _ = error(Conditions("nadir", points=2000, speed=3.0, vehicles=60), 7)
+    assert abs(off) < 0.025 and measured.scale.verdict != UNUSABLE
+
+
+@pytest.mark.slow
 def test_a_focal_length_that_is_too_long_leaves_footprints_alone():
     off, *_ = error(Conditions("nadir", focal=0.2, vehicles=50), 4)
     assert abs(off) < 0.02

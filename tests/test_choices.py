@@ -198,7 +198,9 @@ def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_sta
     """One frame: no parallax says more of the ground."""
     size, place = np.tile([4.5, 1.8], (1000, 1)), np.random.default_rng(0).uniform(-30, 30, (1000, 2))
     frame = np.full(1000, "a.jpg")
-    stands = standing(place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1))
+    stands = standing(
+        place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1), np.ones(1000)
+    )
     nadir = height_share(size, np.zeros((1000, 2)), 0.25)  # from there vehicles show nothing of their height
     shared = Systematic(nadir, {"ground": np.full(2, stands.shared)}).covariance
     assert shared == pytest.approx(np.full((2, 2), 0.01**2))

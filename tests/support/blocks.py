@@ -40,6 +40,8 @@ LOWEST_ENCLOSED, MOST_CORNER = 0.1, 0.3  # [m], [of the width]
 SEEN = 0.8  # share of a vehicle's views in which it is found
 POINT_NOISE = 0.06  # [m] noise of a sparse point; GRASS: mean height of those on rough ground
 GRASS = 0.15
+DECK_REACH = 0.44  # of the extent; vehicles stand within 0.42 of it
+SPEED_SPREAD = 0.2  # of the logarithm of vehicles' speeds
 DENSE_PER_M2, DENSE_NOISE = 8.0, 0.04  # points of a dense cloud, thinned; their noise [m]
 
 
@@ -50,6 +52,7 @@ class Conditions:
     kind : one of KINDS. points : number of sparse points. crowns, roofs : share of the area that they cover. slope : of
     the ground. relief : amplitude of its waves [m]. focal : relative error of the model's focal length, too long (in
     nadir flights heights are then too large by as much). bare : share of points missing where vehicles stand.
+    deck : height of a parking deck under all vehicles [m]. speed : how far vehicles drive from frame to frame [m].
     """
 
     kind: str = "nadir"
@@ -63,6 +66,8 @@ class Conditions:
     vehicles: int = 40
     altitude: float = 70.0
     extent: float = 160.0
+    deck: float = 0.0
+    speed: float = 0.0
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, kind: str) -> Conditions:
@@ -117,6 +122,8 @@ def fly(
     ground; all else stays the same."""
     c = conditions
     terrain = _Terrain.drawn(rng, c)
+    if c.deck:
+        terrain = replace(terrain, deck=c.deck, reach=DECK_REACH * c.extent)
     size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)
     axes = np.stack(
         [np.stack([np.cos(heading), np.sin(heading)], -1), np.stack([-np.sin(heading), np.cos(heading)], -1)], 1
@@ -134,6 +141,9 @@ def fly(
         cloud = _dense(np.random.default_rng(len(sparse)), c, terrain, things, size, place, axes)
         source = replace(source, cloud=_Cloud(world.points(cloud * stretch)))
 
+    velocity = np.zeros((len(place), 2))  # [m per frame]
+    if c.speed:
+        velocity = c.speed * np.exp(rng.normal(0, SPEED_SPREAD, (len(place), 1))) * axes[:, 0]
     boxing = _Boxing.drawn(rng, ruler) if unsure else _Boxing()
     outlines = [place[:, None] + (plan * boxing.seen(size)[:, None]) @ axes for plan, _ in boxing.bodies]
     points = [
@@ -142,8 +152,10 @@ def fly(
     frames: dict[str, Boxes] = {}
     above: dict[str, Boxes] = {}
     pictures = {picture.image: picture for picture in source.ground_pictures}
-    for name, (rotation, centre) in zip(source.picture_names, cameras, strict=True):
-        seen = [_project(p, rotation, centre, focal) for p in (*points, ends)]
+    for k, (name, (rotation, centre)) in enumerate(zip(source.picture_names, cameras, strict=True)):
+        driven = place + k * velocity
+        moved = np.column_stack([driven - place, terrain(driven) - terrain(place)])[:, None]
+        seen = [_project(p + moved, rotation, centre, focal) for p in (*points, ends)]
         inside = np.all([((p > 3) & (p < [WIDTH - 3, HEIGHT - 3])).all((1, 2)) for p in seen], axis=0)
         inside &= rng.random(len(place)) < SEEN
         noise = rng.normal(0, ruler.noise, (len(place), 2))[inside]
@@ -233,6 +245,8 @@ class _Terrain:
 
     slope: np.ndarray
     waves: np.ndarray  # (K, 4) amplitude, two wave numbers, phase
+    deck: float = 0.0  # height of a level deck [m], up to `reach` [m] from the middle along both axes
+    reach: float = 0.0
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, c: Conditions) -> _Terrain:
@@ -245,7 +259,7 @@ class _Terrain:
         out = xy @ self.slope
         for amplitude, kx, ky, phase in self.waves:
             out = out + amplitude * np.sin(kx * xy[..., 0] + ky * xy[..., 1] + phase)
-        return out
+        return np.where((np.abs(xy) < self.reach).all(-1), self.deck, out)
 
 
 def _vehicles(

@@ -3,12 +3,13 @@
 The ground of a reconstruction is a surface fitted below its sparse points (the sheet). Where these lie on tree crowns
 and roofs only, it is too high: all distances are too short, and the scale comes out too large. Vehicles stand on the
 ground, and frames that show one from two sides give its distance without any sparse point. So the surface is one
-measurement of the ground's height, the vehicles are another, and the two are combined.
+measurement of the ground's height, the vehicles are another, and the two are combined. That holds for parked vehicles.
+Of moving ones two views meet by chance, at any height; they are told by how seldom they are found again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
@@ -17,12 +18,12 @@ from scipy.spatial.distance import cdist
 
 from ..normal import ROBUST_SD
 from ..source import PosedSet
-from ..votes import SAME_PLACE, same_place
+from ..votes import FOUND_IN, SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing
 
-# Range and step of the search for the ground, in camera heights below the sheet. 0.25 below it: trees and roofs of 15 m
-# under a flight at 60 m. 0.06 above it: outliers below the ground may have drawn the sheet down.
-LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.06, 0.005
+# Range and step of the search for the ground, in camera heights below the sheet: trees and roofs of 15 m under a flight
+# at 60 m. As far above it, too: where the sheet lies on the ground, vehicles may stand on a parking deck or a bridge.
+LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.25, 0.005
 COINCIDING = 0.3  # of a vehicle's width: sigma of the Gaussian score of how well two places coincide
 CLEARLY = 1.2, 2.0  # factor and number of pairs by which the score must exceed that of the default depth
 FEWEST_STANDING = 3  # vehicles seen in several frames; fewer are not used
@@ -40,6 +41,11 @@ ALIKE_WITHIN = 0.5  # correlation length of a sheet's errors, in camera heights
 MOST_COMPARED = 200  # boxes by which the error common to all boxes is estimated
 BOXES_AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand vehicles
 LEAST_VARIANCE = 4e-12  # of a place's height, as a share of the reach squared: the rounding error
+# From which share of the boxes that other frames should confirm (parked vehicles: FOUND_IN of those that show a place)
+# these do is there a parallax. Of four real models one has 0.7 (dark cars, many mistakes), the others 0.9 and more;
+# simulated traffic has 0.05 to 0.35, by coincidence, and up to 0.6 along a strip, where half of it comes towards the
+# camera, or where it moves by less than a width from view to view.
+FOUND_AGAIN = 0.65
 STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are of more than one
 
 
@@ -66,18 +72,21 @@ class Standing:
         return np.sqrt(np.maximum(self.sd**2 - self.shared**2, 0.0))
 
 
-def standing_in_model(source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray) -> Footing:
+def standing_in_model(
+    source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray, shown: np.ndarray
+) -> Footing:
     """The ground under M boxes, with the boxes' places on it.
 
     picture : (M,) name of the frame of each. place : (M, 3) where the ray through its centre meets the ground of
-    `source`. size : (2,) typical length and width of a vehicle [units].
+    `source`. size : (2,) typical length and width of a vehicle [units]. shown : (M,) number of frames that show each
+    place.
     """
     ground = source.ground
     names, which = np.unique(picture, return_inverse=True)
     centre = np.array([source.centre(str(name)) for name in names])[which]
     plane, foot = ground.plane(place), ground.plane(centre)
     above = (centre - place) @ ground.up
-    stands = standing(plane, foot, above, picture, (float(size[0]), float(size[1])), ground.sd(place))
+    stands = standing(plane, foot, above, picture, (float(size[0]), float(size[1])), ground.sd(place), shown)
     place = centre + (place - centre) * (1 + stands.lower)[:, None]
     uneven, reach = np.sqrt(stands.trees) * UNEVEN, ALIKE_WITHIN * float(np.median(above))
     return Footing(place, stands.lower, stands.each, stands.shared, uneven, reach)
@@ -90,12 +99,14 @@ def standing(
     picture: np.ndarray,
     size: tuple[float, float],
     sd: np.ndarray,
+    shown: np.ndarray,
 ) -> Standing:
     """The ground under the vehicles in M boxes.
 
     place : (M, 2) where the ray through the box's centre meets the surface, on its plane. foot : (M, 2) the point below
     the camera. above : (M,) the camera's height over the surface at `place`. picture : (M,) name of each box's frame.
-    size : typical length and width of a vehicle. sd : (M,) one sigma of the surface's height. All lengths in [units].
+    size : typical length and width of a vehicle. sd : (M,) one sigma of the surface's height. shown : (M,) number of
+    frames that show `place`. All lengths in [units].
     """
     offset = (place - foot) / above[:, None]
     height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
@@ -108,20 +119,22 @@ def standing(
     for cell in _cells(place, height):
         start[cell] = _search(place[cell], offset[cell], picture[cell], tried, everywhere, width)
     seen = _triangulated(place, offset, picture, start, width)
-    if len(seen.lower) < FEWEST_STANDING:
+    expected = 1 - (1 - FOUND_IN) ** np.maximum(shown - 1, 0)
+    if len(seen.lower) < FEWEST_STANDING or seen.views.sum() < FOUND_AGAIN * expected.sum():
         return alone
-    found = _SeenVehicles(seen.place, seen.lower + MIDDLE * length, seen.variance + (MIDDLE_EACH * length) ** 2)
+    found = replace(seen, lower=seen.lower + MIDDLE * length, variance=seen.variance + (MIDDLE_EACH * length) ** 2)
     return _combined(found, place, sd, above, height, MIDDLE_SD * length)
 
 
 @dataclass(frozen=True)
 class _SeenVehicles:
     """K vehicles seen in several frames: place (K, 2) [units]; how far below the surface they stand (K,) [units], and
-    its variance (K,)."""
+    its variance (K,); number of frames in which each is seen (K,)."""
 
     place: np.ndarray
     lower: np.ndarray
     variance: np.ndarray
+    views: np.ndarray
 
 
 def _cells(place: np.ndarray, side: float) -> list[np.ndarray]:
@@ -165,15 +178,15 @@ def _triangulated(
             continue
         lower = -float((o * p).sum()) / lever  # the depth at which place + lower * offset coincide best
         left.append((float(((p + lower * o) ** 2).sum()), 2 * len(mine) - 3))
-        rows.append((*(place[mine] + lower * offset[mine]).mean(0), lower, lever))
+        rows.append((*(place[mine] + lower * offset[mine]).mean(0), lower, lever, len(mine)))
     if not rows:
-        return _SeenVehicles(np.empty((0, 2)), np.empty(0), np.empty(0))
-    x, y, lower, lever = np.array(rows).T
+        return _SeenVehicles(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
+    x, y, lower, lever, views = np.array(rows).T
     squares, freedom = np.array(left).T
     each = squares / freedom
     usual = each <= OUTLYING * np.median(each)
     noise = max(float(squares[usual].sum() / freedom[usual].sum()), (BOX_SD * width) ** 2)
-    return _SeenVehicles(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever)
+    return _SeenVehicles(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever, views)
 
 
 @dataclass(frozen=True)

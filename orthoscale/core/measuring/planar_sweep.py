@@ -101,7 +101,8 @@ class SweepGeometry:
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
         flat = ground_size(above.boxes) * unit_per_pixel
         images = np.array([pictures[name].image for name in names])
-        footing = standing_in_model(source, images, above.place, np.median(flat, axis=0))
+        shown = _shown(source, found, above.boxes, above.place)
+        footing = standing_in_model(source, images, above.place, np.median(flat, axis=0), shown)
         farther = (1 + footing.lower)[:, None]
         card = card_of(found)
         return cls(
@@ -162,10 +163,7 @@ class SweepGeometry:
 
     def shown(self, place: np.ndarray) -> np.ndarray:
         """(N,) number of frames that show each place (N, 3) from near the nadir."""
-        pictures = {picture.name: picture for picture in self.source.ground_pictures}
-        images = [pictures[name].image for name in looked_at(self.found) if name in pictures]
-        border = float(np.median(self.boxes.length)) / 2
-        return frames_in_view(self.source, images, place, border, NEAR_NADIR)
+        return _shown(self.source, self.found, self.boxes, place)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
@@ -205,6 +203,13 @@ class _Above(NamedTuple):
         """Those of all pictures."""
         boxes, *values = zip(*parts, strict=True)
         return cls(Boxes.concatenate(boxes), *map(np.concatenate, values))
+
+
+def _shown(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
+    """(N,) number of frames that show each place (N, 3) from near the nadir. boxes : in ground pictures."""
+    pictures = {picture.name: picture for picture in source.ground_pictures}
+    images = [pictures[name].image for name in looked_at(found) if name in pictures]
+    return frames_in_view(source, images, place, float(np.median(boxes.length)) / 2, NEAR_NADIR)
 
 
 def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
