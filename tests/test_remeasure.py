@@ -142,7 +142,8 @@ def test_in_a_model_frames_and_ground_pictures_are_measured(monkeypatch):
     picture.frame = picture
     monkeypatch.setattr(find, "Measurer", lambda path: Sees(truth))
     seen = found(proposed(truth))
-    model = SimpleNamespace(pictures=[picture], posed=SimpleNamespace(ground_pictures=[picture], path="model"))
+    model = SimpleNamespace(pictures=[picture], ground_pictures=[picture], path="model")
+    model.posed = model
     got = find.measured_anew(model, replace(seen, planar=seen), EstimateRequest(), QUIET)
     for found_so in (got, got.planar, find.measured_anew(model, seen, EstimateRequest(), QUIET)):
         assert found_so.boxes["drawing"].xylwa == pytest.approx(truth.xylwa) and found_so.ruler != UNKNOWN_RULER
