@@ -169,3 +169,12 @@ def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace,
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "metric/sim3.json", tmp_path / "alone")
     assert not apply(tmp_path / "alone/sim3.json", paths["other"], tmp_path / "again")[tmp_path / "again/other.ply"]
+
+
+@pytest.mark.parametrize("what", ["points", "centres"])
+def test_without_points_or_cameras_nothing_can_be_told(scene, what):
+    points, centres, cloud = scene
+    none = np.empty((0, 3))
+    given = (none, centres) if what == "points" else (points, none)
+    fit = cloud_fit(*given, [cloud[:5000]])
+    assert not fit.another and not fit.own

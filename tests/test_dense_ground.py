@@ -12,7 +12,7 @@ from support.models import make_model
 from orthoscale.errors import InputError
 from orthoscale.fleets import load_fleet
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.dense_cloud import DenseCloud, check_depth_maps, cloud_at, find_cloud
+from orthoscale.sources.dense_cloud import DenseCloud, check_workspace, cloud_at, find_cloud
 
 HEADER = "ply\nformat binary_little_endian 1.0\nelement vertex {}\n" + "".join(
     f"property float {axis}\n" for axis in "xyz"
@@ -168,7 +168,7 @@ def test_depth_maps_of_another_run_are_refused(tmp_path, form):
     model, _ = make_model()
     (tmp_path / "dense/sparse").mkdir(parents=True)
     (maps := tmp_path / "dense/stereo/depth_maps").mkdir(parents=True)
-    check_depth_maps(tmp_path / "dense")  # there are none
+    check_workspace(tmp_path / "dense")  # there are none
     model.write(tmp_path / "dense/sparse")
 
     def write(factor: float, start: str = "") -> None:
@@ -183,16 +183,16 @@ def test_depth_maps_of_another_run_are_refused(tmp_path, form):
             (maps / f"{start}{image.name}.{form}.bin").write_bytes(b"320&240&1&" + depth.tobytes())
 
     write(1.04)
-    check_depth_maps(tmp_path / "dense")
+    check_workspace(tmp_path / "dense")
     write(1.0, "former_")  # images that the model has no more
-    check_depth_maps(tmp_path / "dense")
+    check_workspace(tmp_path / "dense")
     write(1.2)
     with pytest.raises(InputError, match=r"show its points at 1.2 times the distance"):
-        check_depth_maps(tmp_path / "dense")
+        check_workspace(tmp_path / "dense")
     for image in model.images.values():
         (maps / f"{image.name}.{form}.bin").unlink()
     with pytest.raises(InputError, match=r"former_00.png.* no image of .*sparse has this name"):
-        check_depth_maps(tmp_path / "dense")
+        check_workspace(tmp_path / "dense")
 
 
 def test_a_cloud_of_another_run_is_copied_with_a_caution(tmp_path):

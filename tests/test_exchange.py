@@ -412,6 +412,14 @@ def test_dota_text_keeps_boxes_and_scores(tmp_path):
     assert np.isnan(again.boxes["a.jpg"].sigma).all() and again.doubtful == {} and again.ruler == UNKNOWN_RULER
 
 
+def test_dota_text_refuses_the_name_that_would_be_written(tmp_path):
+    """Of two pictures with one name but for the ending the whole names are written; only one has boxes, and a space."""
+    source = pictures_of(["a.old jpg", "a.jpg"], tmp_path)
+    with pytest.raises(UsageError, match=r"'a.old jpg', which has a space"):
+        save(Detections({"a.old jpg": BOXES}, 0.8, RULER, (0.7, 0.5), "t"), tmp_path / "d.txt", source)
+    assert not (tmp_path / "d.txt").exists()
+
+
 # Rectangles
 
 

@@ -34,9 +34,9 @@ CELL_BITS = 20  # of a cell's number along one axis, without its sign
 class CloudFit:
     """How a cloud lies to the sparse points of a model.
 
-    points : number of those compared. near, on : of those that have
-    the cloud in the large and in the small cells around them. cloud : number of its points that were looked at. dense :
-    whether these are enough around the sparse points that it comes near.
+    points : number of those compared. near, on : of those that have the cloud in the large and in the small cells
+    around them. cloud : number of its points that were looked at. dense : whether these are enough around the sparse
+    points that it comes near.
     """
 
     points: int
@@ -68,6 +68,8 @@ class CloudFit:
 def cloud_fit(points: np.ndarray, centres: np.ndarray, blocks: Iterable[np.ndarray]) -> CloudFit:
     """How the cloud of `blocks` (N, 3) lies to the sparse `points` (M, 3) that were seen from `centres` (C, 3), all in
     model units. Raises what `blocks` raises."""
+    if not len(points) or not len(centres):
+        return CloudFit(0, 0, 0, 0, dense=False)
     distance = cKDTree(centres).query(points)[0]
     typical = float(np.median(distance))
     points = points[distance <= FARTHEST_CHECKED * typical]

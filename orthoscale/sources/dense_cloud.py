@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -158,16 +158,17 @@ def _of_no_image(path: Path, sparse: Path) -> InputError:
     return InputError(f"{path}: no image of {sparse} has this name", "Run image_undistorter again.")
 
 
-def check_depth_maps(workspace: Path) -> None:
-    """Raise InputError for depth maps that are of another model than the undistorted one in their `workspace`, such as
-    those of a former run: none has an image there, or the model's points lie at other depths."""
-    maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
-    if not maps or not sparse:
+def _check_depth_maps(
+    workspace: Path, sparse: Path, model: pycolmap.Reconstruction, images: Mapping[str, pycolmap.Image]
+) -> None:
+    """Raise InputError for depth maps in `workspace` that are of another model than the undistorted `model` in its
+    folder `sparse`, such as those of a former run: none has one of its `images`, or its points lie at other depths."""
+    maps = _depth_maps(workspace)
+    if not maps:
         return
-    model, images = _undistorted(sparse[0])
     known = [path for path in maps if _image_of(path, workspace) in images]
     if not known:
-        raise _of_no_image(maps[0], sparse[0])
+        raise _of_no_image(maps[0], sparse)
     ratios = []
     for k in np.linspace(0, len(known) - 1, min(MAPS_COMPARED, len(known))).astype(int):
         depth, image = read_depth_map(known[k]), images[_image_of(known[k], workspace)]
@@ -183,7 +184,7 @@ def check_depth_maps(workspace: Path) -> None:
     apart = np.concatenate(ratios)
     if len(apart) >= DEPTHS_COMPARED and abs(np.log(np.median(apart))) > np.log(DEPTHS_APART):
         raise InputError(
-            f"{workspace}: its depth maps are not of the model {sparse[0]}: they show its points at "
+            f"{workspace}: its depth maps are not of the model {sparse}: they show its points at "
             f"{np.median(apart):.3g} times the distance",
             "They may be of a former run: run patch_match_stereo and stereo_fusion again, or remove --dense.",
         )
@@ -192,10 +193,10 @@ def check_depth_maps(workspace: Path) -> None:
 def check_workspace(workspace: Path) -> list[Remark]:
     """Raise InputError for a dense workspace whose depth maps, cloud or meshes are not of the undistorted model in it;
     returns remarks on what is missing, and on a cloud of which this cannot be told. A cropped cloud is of its model."""
-    check_depth_maps(workspace)
     if not (sparse := sparse_folders(workspace)):
         return []
     model, images = _undistorted(sparse[0])
+    _check_depth_maps(workspace, sparse[0], model, images)
     remarks = _on_missing_maps(workspace, sorted(images))
     points, centres = sparse_points(model), np.array([image.projection_center() for image in images.values()])
     for path in sorted(path for path in workspace.glob("*.ply") if path.is_file()):

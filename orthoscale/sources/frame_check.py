@@ -56,8 +56,7 @@ class _ZoomFit:
 def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
     """Remarks on `pictures`, the frames of `model`, if they do not show its points, or show them elsewhere."""
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    count = min(FRAMES_COMPARED, len(pictures))
-    chosen = [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, count)]
+    chosen = _spread(pictures, FRAMES_COMPARED)
     fits = [fit for picture in chosen if (fit := _fitted(model, images[picture.name], picture)) is not None]
     if not fits:
         return []
@@ -83,9 +82,7 @@ def _on_strangers(
     model: pycolmap.Reconstruction, images: Mapping[str, pycolmap.Image], pictures: Sequence[PictureFile]
 ) -> list[Remark]:
     """A caution on single ones among the model's own frames that do not show its points."""
-    count = min(FRAMES_GLANCED_AT, len(pictures))
-    chosen = [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, count)]
-    each = [(picture, _own(model, images[picture.name], picture)) for picture in chosen]
+    each = [(p, _own(model, images[p.name], p)) for p in _spread(pictures, FRAMES_GLANCED_AT)]
     known = [(picture, own) for picture, own in each if own is not None]
     if not (strangers := [picture for picture, own in known if own < OWN_FRAMES]):
         return []
@@ -100,42 +97,31 @@ def _on_strangers(
 def _own(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> float | None:
     """How well the brightness of the model's points correlates with `picture` at their places in its `image`; None if
     that cannot be found."""
-    seen = [point for point in image.points2D if point.has_point3D()]
-    if len(seen) < LEAST_POINTS:
+    place, colours = _points_of(model, image)
+    if len(place) < LEAST_POINTS:
         return None
-    colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).mean(1)
     try:
         with picture.pixels(GLANCE) as (pixels, factor):
-            x, y = (np.array([point.xy for point in seen]) // factor).astype(int).T
-            inside = (x >= 0) & (x < pixels.shape[1]) & (y >= 0) & (y < pixels.shape[0])
-            shown = pixels[y[inside], x[inside]].mean(1)
+            return _likeness(pixels, place / factor, colours)
     except InputError:  # reported by whoever needs the picture
         return None
-    if 2 * inside.sum() < len(seen) or min(colours[inside].std(), shown.std()) < LEAST_CONTRAST:
-        return None
-    return float(np.corrcoef(colours[inside], shown)[0, 1])
 
 
 def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _ZoomFit | None:
     """Where `picture` shows the points of `image`, by the brightness of both; None if that cannot be found."""
-    seen = [point for point in image.points2D if point.has_point3D()]
-    if len(seen) < LEAST_POINTS:
+    place, colours = _points_of(model, image)
+    if len(place) < LEAST_POINTS:
         return None
-    colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).mean(1)
     camera = model.camera(image.camera_id)
     middle = np.array([camera.principal_point_x, camera.principal_point_y])
-    place = np.array([point.xy for point in seen]) - middle
+    place -= middle
     r2 = ((place / camera.mean_focal_length()) ** 2).sum(1)
     try:
         with picture.pixels() as (pixels, _):
 
             def likeness(zoom: float, bend: float) -> float:
-                x, y = (place * (zoom + bend * r2)[:, None] + middle).T
-                inside = (x >= 0) & (x < picture.width) & (y >= 0) & (y < picture.height)
-                shown = pixels[y[inside].astype(int), x[inside].astype(int)].mean(1)
-                if 2 * inside.sum() < len(place) or min(colours[inside].std(), shown.std()) < LEAST_CONTRAST:
-                    return -1.0
-                return float(np.corrcoef(colours[inside], shown)[0, 1])
+                found = _likeness(pixels, place * (zoom + bend * r2)[:, None] + middle, colours)
+                return -1.0 if found is None else found
 
             own = likeness(1, 0)
             if own == -1:
@@ -144,6 +130,29 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
             return _ZoomFit(own, likeness(zoom, bend), zoom - 1 + 2 * bend * float(r2.mean()))
     except InputError:  # reported by whoever needs the picture
         return None
+
+
+def _points_of(model: pycolmap.Reconstruction, image: pycolmap.Image) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, 2) of the model's points in `image` [px], and their brightness (N,) [0 to 255]."""
+    seen = [point for point in image.points2D if point.has_point3D()]
+    colours = [model.points3D[point.point3D_id].color for point in seen]
+    return np.array([point.xy for point in seen]).reshape(-1, 2), np.array(colours, float).reshape(-1, 3).mean(1)
+
+
+def _likeness(pixels: np.ndarray, place: np.ndarray, colours: np.ndarray) -> float | None:
+    """How well brightness `colours` (N,) correlates with that of `pixels` (H, W, 3) at `place` (N, 2) [px]; None where
+    less than half of them lie inside, or one has no contrast."""
+    x, y = place.T
+    inside = (x >= 0) & (x < pixels.shape[1]) & (y >= 0) & (y < pixels.shape[0])
+    shown = pixels[y[inside].astype(int), x[inside].astype(int)].mean(1)
+    if 2 * inside.sum() < len(place) or min(colours[inside].std(), shown.std()) < LEAST_CONTRAST:
+        return None
+    return float(np.corrcoef(colours[inside], shown)[0, 1])
+
+
+def _spread(pictures: Sequence[PictureFile], most: int) -> list[PictureFile]:
+    """At most `most` of the `pictures`, spread over all."""
+    return [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, min(most, len(pictures)))]
 
 
 def _highest(likeness: Callable[[float, float], float]) -> tuple[float, float]:

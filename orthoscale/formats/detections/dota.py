@@ -8,7 +8,7 @@ score; a file per picture, classes as numbers, corners as shares of the picture'
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -53,22 +53,23 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     return items
 
 
-def check_names(pictures: Sequence[str]) -> None:
-    """Raise UsageError if one of the names of `pictures` has a space, which ends a name in a results file."""
-    for picture in pictures:
-        if any(c.isspace() for c in short_name(picture, pictures)):
+def names_in_text(named: Iterable[str], pictures: Sequence[str]) -> list[str]:
+    """The names in a results file of the pictures `named`, some of the source's `pictures`. Raises UsageError for one
+    with a space, which ends a name there."""
+    names = [short_name(picture, pictures) for picture in named]
+    for name in names:
+        if any(c.isspace() for c in name):
             raise UsageError(
-                f"DOTA's text cannot hold the picture name {shown(picture)!r}, which has a space",
+                f"DOTA's text cannot hold the picture name {shown(name)!r}, which has a space",
                 "Save as .json instead.",
             )
+    return names
 
 
 def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> None:
     """Write a results file, which keeps scores and picture names. Raises UsageError for names with spaces."""
-    check_names(list(boxes))
     lines = [f"imagesource:{signature(path)}"]
-    for picture, found in boxes.items():
-        name = short_name(picture, pictures)
+    for name, found in zip(names_in_text(boxes, pictures), boxes.values(), strict=True):
         for corners, score in zip(found.corners, found.score, strict=True):
             lines.append(f"{name} {score:.4f} " + " ".join(f"{v:.3f}" for v in corners.ravel()))
     path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")

@@ -48,7 +48,7 @@ def check_pictures(path: Path, source: Pictures) -> None:
     """Raise UsageError if the format that the ending of `path` names cannot hold the boxes of the pictures of `source`,
     by their names."""
     if path.suffix.lower() == ".txt":
-        dota.check_names(source.picture_names)
+        dota.names_in_text(source.picture_names, source.picture_names)
 
 
 def output_of(outputs: Outputs, path: Path | None) -> Path | None:
