@@ -28,7 +28,7 @@ from .evaluate import FEWEST, SHIPPED, Place, against_readings, variance_of
 from .real import READ as LEARNT
 from .real import SLANTED
 
-READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcdeghij"))
+READ = (BY_HAND, *(BY_HAND.with_name(f"read_again_{reader}.json") for reader in "abcdeghijklm"))
 STRAY = (0.01, 0.015)  # place-to-place one sigma of length and width that is assumed for the weights of readings
 DRAWS = 1000  # of places, for the uncertainty (bootstrap; Efron 1979)
 
