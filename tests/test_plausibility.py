@@ -11,7 +11,7 @@ import pytest
 from support.drawings import car_park
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections, ZoomChoice
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.plausibility import alignment, if_confirmed, standing_in_another
 from orthoscale.core.measuring.ways import measure_source
@@ -170,3 +170,63 @@ def test_neighbours_agree_where_they_are_parallel_or_across(turn, agreement):
     rows = np.column_stack([60.0 * k + 20.0 * (k // 2), 0 * k, np.full(40, 45.0), np.full(40, 19.0), turn * (k % 2)])
     pairs, found = alignment(Boxes(rows, np.ones(40)))
     assert pairs == 20 and found == pytest.approx(agreement, abs=1e-9)
+
+
+SEARCHED = ZoomChoice(1.0, 45.0, 9.0, None, 0.0, [], one_scale=True)
+CAR, VAN = [0.9, 0.0, 0.1, 0.0], [0.1, 0.0, 0.9, 0.0]
+
+
+@pytest.mark.parametrize(
+    "factor, others, kind, choice, refused",
+    [
+        (2.2, 4, CAR, SEARCHED, True),
+        (0.4, 4, CAR, SEARCHED, True),
+        (2.2, 3, CAR, SEARCHED, False),  # of ten: two boxed as one now and then
+        (2.2, 4, VAN, SEARCHED, False),  # lorries
+        (2.2, 4, [np.nan] * 4, SEARCHED, False),
+        (2.2, 4, CAR, None, False),  # the user says how large vehicles are
+    ],
+)
+def test_cars_of_another_size_are_another_reading(factor, others, kind, choice, refused):
+    """Four pairs of lamps and a hatch gave 2.3 times the scale of the three cars beside them, and it was fair."""
+    park = car_park(45, 2000, 2000, 10)
+    strange = park[:others].mapped(1.0, (0.0, 800.0))
+    rows = np.concatenate([park.xylwa, strange.xylwa * [1, 1, factor, factor, 1]])
+    kinds = np.array([CAR] * len(park) + [kind] * others)
+    boxes = Boxes(rows, np.full(len(rows), 0.9), kinds=kinds)
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
+    plan.plan, plan.posed = plan, None
+    found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", zoom_choice=choice)
+    measured = measure_source(plan, found, DE)
+    assert measured.scale.vehicles_used == len(park)
+    said = [remark for remark in measured.remarks if "look like cars" in remark.text]
+    assert [(r.severity, bool(r.hint)) for r in said] == [(REFUSAL, True)] * refused
+    assert (measured.scale.verdict == UNUSABLE) >= refused
+    if refused:
+        value = measured.scale.value
+        usual, other = np.median(park.length), np.median(boxes.length[len(park) :])
+        assert f"{usual:.0f} px" in said[0].text and f"{other:.0f} px" in said[0].text
+        assert f"{value:.3g} m/px, or {value * usual / other:.3g}" in said[0].text
+
+
+@pytest.mark.parametrize(
+    "vehicles, believed, uncounted, searched, refused",
+    [
+        (6, 8, 18, True, True),
+        (6, 8, 18, False, False),
+        (6, 7, 13, True, True),
+        (7, 8, 13, True, False),
+        (6, 7, 12, True, False),  # too few boxes to say
+        (30, 40, 100, True, False),  # not by chance
+    ],
+)
+def test_few_vehicles_among_many_boxes_may_agree_by_chance(vehicles, believed, uncounted, searched, refused):
+    """Of a tank farm without cars six of 26 boxes happened to agree, on 0.6 times its scale."""
+    boxes = car_park(45, 2000, 2000, vehicles)
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
+    plan.plan, plan.posed = plan, None
+    scale = measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file"), DE).scale
+    assert scale.vehicles_used == vehicles
+    judged = if_confirmed(replace(scale, larger_share=0.0, verdict="good"), believed, uncounted, searched)
+    assert (judged.verdict == UNUSABLE) == refused
+    assert any(r.severity == REFUSAL for r in judged.remarks) == refused

@@ -1,15 +1,15 @@
 """Whether boxes can be vehicles at all: any boxes give some scale, so implausible ones are refused or doubted.
 
 Boxes of an orthophoto are implausible if they overlap, have no common directions, all have the same length, are seldom
-found by both detection passes, or lie on pixels that are not square.
+found by both detection passes, lie on pixels that are not square, or leave out others that look like cars.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..boxes import Boxes
-from ..confirmed import OF_MISTAKES
+from ..boxes import KINDS, Boxes
+from ..confirmed import AS_LIKELY, OF_MISTAKES
 from ..equal_sizes import of_one_size
 from ..remarks import CAUTION, REFUSAL, Remark, percent
 from ..scale import Scale
@@ -48,16 +48,19 @@ AGREEING = 0.06
 INSPECT = "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)"
 
 
-def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -> Scale:
+def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0, searched: bool = True) -> Scale:
     """`scale`, with a remark for each check that its `boxes` (N, of one picture) fail.
 
     scale : from `boxes`, of which it uses some. uncounted : number of boxes that were detected but do not count.
-    aspect : how many times as wide as high pixels are taken to be.
+    aspect : how many times as wide as high pixels are taken to be. searched : whether the scale search chose what size
+    vehicles have; if the user gave it, other things of another size cannot pass for them.
     """
     used = boxes[scale.used]
     for check in (if_apart, if_in_order, if_unlike):
         scale = check(scale, used)
-    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), uncounted)
+    if searched:
+        scale = if_alone(scale, boxes)
+    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), uncounted, searched)
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
@@ -104,6 +107,31 @@ def if_unlike(scale: Scale, used: Boxes) -> Scale:
     return scale.remarked(remark, at_best=UNUSABLE)
 
 
+def if_alone(scale: Scale, boxes: Boxes) -> Scale:
+    """`scale`, refused if nearly as many of `boxes` (N) as it uses are too large for it, or too small, though the
+    measurer takes them for cars: then these may be the cars, and the others something else.
+
+    Nearly as many is a share of AS_LIKELY, as for two lengths in the scale search. Lamps in pairs, 10 px long, gave
+    2.3 times the scale of a school's yard once, whose three cars were "too large" (a sixteenth of `tartu_b`). In 140
+    other parts of real orthophotos up to 0.17 as many are cars of another size: partly hidden, or two taken for one.
+    """
+    cars = ~scale.used & (np.asarray(boxes.kinds)[:, KINDS.index("car")] > 0.5)
+    usual = float(np.median(boxes.length[scale.used]))
+    larger = boxes.length > usual
+    others = max((boxes.length[cars & side] for side in (larger, ~larger)), key=len)
+    if not len(others) or len(others) < AS_LIKELY * scale.vehicles_used:
+        return scale
+    length = float(np.median(others))
+    remark = Remark(
+        REFUSAL,
+        f"vehicles may be {usual:.0f} px long, as {scale.vehicles_used} boxes are, or {length:.0f} px, as "
+        f"{len(others)} others are that look like cars: the scale is {scale.value:.3g} {scale.unit}, or "
+        f"{scale.value * usual / length:.3g}",
+        INSPECT,
+    )
+    return scale.remarked(remark, at_best=UNUSABLE)
+
+
 def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     """`scale`, less certain and doubted if pixels are not as square as assumed; refused if they are far from it.
 
@@ -125,23 +153,24 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     return less.remarked(remark, at_best=UNUSABLE if far else AT_BEST_DOUBTED)
 
 
-def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
+def if_confirmed(scale: Scale, believed: int, uncounted: int, searched: bool = True) -> Scale:
     """`scale`, with its verdict one step lower and ``poor`` at best where few of all boxes count.
 
     believed : number of boxes that count: found by both detection passes and not set aside (`Detections.set_aside`).
     uncounted : number of the others. Few is a share of OF_MISTAKES or less. The scale is refused where less than
-    HARDLY_ANY count and these do not agree well; and where few count and more than MANY_LARGER of the vehicles are
-    larger ones.
+    HARDLY_ANY count and these do not agree well; where few count and more than MANY_LARGER of the vehicles are larger
+    ones; and where few vehicles of a size that was `searched` for (see `plausible`) are few of all boxes.
 
     Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
     skylights and sheds, also gives boxes. If these have some other size, they give as certain a scale as vehicles, and
     anchors then follow it. Many vehicles much larger than cars are a bad sign there: the supposed cars may be graves or
     tents, and the supposed larger vehicles the cars.
     """
-    seen = believed + uncounted
-    if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
+    seen, used = believed + uncounted, scale.vehicles_used
+    by_chance = searched and used < LEAST_USED and used <= OF_MISTAKES * seen
+    if seen < LEAST_SEEN or (believed > OF_MISTAKES * seen and not by_chance):
         return scale
-    refused = believed < HARDLY_ANY * seen and scale.half_width > AGREEING
+    refused = by_chance or (believed < HARDLY_ANY * seen and scale.half_width > AGREEING)
     few = Remark(
         REFUSAL if refused else CAUTION,
         f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as among false detections: check "

@@ -43,7 +43,8 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source, found), fleet, method)
-        scale = plausible(measured.scale, measured.boxes, sum(doubts(found).values()), source.claimed.aspect)
+        uncounted, searched = sum(doubts(found).values()), found.zoom_choice is not None
+        scale = plausible(measured.scale, measured.boxes, uncounted, source.claimed.aspect, searched)
         return _of_one_scale(replace(measured, scale=scale))
     return measure_posed(source, found, fleet, method, mode)
 
