@@ -26,9 +26,7 @@ LIGHTS = (0.01, 0.99)  # these quantiles
 DARK, LIGHT = 0.35, 0.9  # lightness below which a vehicle may merge with its shadow, and above which it does not
 LEAST_PAINTED = 5  # vehicles, both dark and light, that are needed to compare their sizes
 ALIKE = 0.35  # log length from the median within which vehicles are compared: lorries are left out
-# One sigma of log length and width: by how much shadows enlarge the dark vehicles of a scene, and by how much dark and
-# light vehicles really differ (white vans, black limousines).
-SHADOW_SD = np.array([0.04, 0.09])
+SHADOW_PX = 0.65
 OF_PAINT_SD = 0.02
 
 
@@ -81,8 +79,15 @@ def shadows(log_size: np.ndarray, light: np.ndarray) -> np.ndarray:
     SHADOW_SD, according to its own uncertainty and to how far dark and light vehicles really differ. 0 if too few can
     be compared, or if the dark ones are smaller, since shadows only enlarge.
     """
-    groups = dark_and_light(log_size, light)
-    if min(map(len, groups)) < LEAST_PAINTED:
+    from scipy.special import log_ndtr
+
+    if not len(log_size):
         return np.zeros(2)
+    groups = dark_and_light(log_size, light)
+    prior = SHADOW_PX / np.exp(np.median(log_size, 0))
+    if min(map(len, groups)) < LEAST_PAINTED:
+        return prior * np.sqrt(2 / np.pi)
     apart, variance = larger(*groups)
-    return SHADOW_SD**2 / (SHADOW_SD**2 + variance + OF_PAINT_SD**2) * np.maximum(apart, 0.0)
+    share = prior**2 / (prior**2 + variance + OF_PAINT_SD**2)
+    mean, sd = share * apart, prior * np.sqrt(1 - share)
+    return mean + sd * np.exp(-0.5 * (mean / sd) ** 2 - log_ndtr(mean / sd)) / np.sqrt(2 * np.pi)
