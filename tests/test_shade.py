@@ -19,13 +19,15 @@ from orthoscale.detect.shade import (
     LIGHT,
     OF_PAINT_SD,
     SHADOW_CONTRAST,
-    SHADOW_SD,
+    SHADOW_PX,
     lightness,
     shadow_contrast,
     shadows,
 )
 
 SIZE = np.array([56.0, 24.0])
+TYPICAL = np.array([16.0, 7.0])  # length and width of small vehicles, whose shadows cannot be separated [px]
+USUAL = SHADOW_PX / TYPICAL
 
 
 def crop(paint: int, shadow: int = 20, ground: int = 120) -> np.ndarray:
@@ -90,7 +92,7 @@ def test_the_measurer_tells_paint_by_how_dark_shadows_must_be():
 def scene(larger: tuple[float, float], dark: int, light: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Log sizes (N, 2) of vehicles of one fleet, the first `dark` of them enlarged, and their lightness."""
     rng = np.random.default_rng(seed)
-    size = np.log([4.4, 1.8]) + rng.normal(0, [0.07, 0.04], (dark + light, 2))
+    size = np.log(TYPICAL) + rng.normal(0, [0.07, 0.04], (dark + light, 2))
     size[:dark] += larger
     return size, np.repeat([DARK / 2, LIGHT + 0.3], [dark, light])
 
@@ -101,45 +103,60 @@ def test_what_shadows_add_is_found():
 
 def test_half_as_many_lorries_among_the_dark_ones_change_nothing():
     size, light = scene((0.05, 0.12), 200, 200)
-    lorries = np.log([9.0, 2.5]) + np.zeros((100, 2))
+    lorries = np.log([33.0, 10.0]) + np.zeros((100, 2))
     alone = shadows(size, light)
     assert shadows(np.r_[size, lorries], np.r_[light, np.zeros(100)]) == pytest.approx(alone, abs=0.015)
 
 
 def test_vehicles_neither_dark_nor_light_say_nothing():
     size, light = scene((0.05, 0.12), 200, 200)
-    between = np.log([4.4, 2.1]) + np.zeros((400, 2))
-    assert shadows(np.r_[size, between], np.r_[light, np.full(400, 0.6)]) == pytest.approx(shadows(size, light))
+    between = np.log([16.0, 8.2]) + np.zeros((400, 2))
+    assert shadows(np.r_[size, between], np.r_[light, np.full(400, 0.6)]) == pytest.approx(
+        shadows(size, light), abs=0.002
+    )
 
 
 def test_paint_keeps_its_part_however_many_there_are():
-    """White vans may be longer than black cars: of a difference as small as that some is left."""
-    size, light = scene((0.02, 0.02), 20_000, 20_000)
-    assert shadows(size, light) == pytest.approx(0.02 * SHADOW_SD**2 / (SHADOW_SD**2 + OF_PAINT_SD**2), abs=0.0015)
+    """White vans may be longer than black cars: some of any difference is left."""
+    size, light = scene((0.1, 0.2), 20_000, 20_000)
+    assert [0.1, 0.2] - shadows(size, light) == pytest.approx(OF_PAINT_SD**2 / USUAL, abs=0.0015)
 
 
 def test_shadows_only_add():
-    assert (shadows(*scene((-0.05, -0.12), 300, 300)) == 0).all()
+    """Where dark vehicles are smaller, hardly anything is taken off, and never added."""
+    left = shadows(*scene((-0.05, -0.12), 300, 300))
+    assert (left > 0).all() and (left < 0.01).all()
 
 
 def test_few_are_hardly_believed():
-    """Against draws of a known truth: what is taken off errs by no more than if nothing or all were taken off."""
+    """Against draws of a known truth: what is taken off errs by less than if nothing, all, or the usual were."""
     rng = np.random.default_rng(1)
-    kept, told, all_ = [], [], []
+    kept, told, all_, usual = [], [], [], []
     for seed in range(200):
-        paint, truth = rng.normal(0, OF_PAINT_SD, 2), np.abs(rng.normal(0, SHADOW_SD))
+        paint, truth = rng.normal(0, OF_PAINT_SD, 2), rng.exponential(USUAL)
         size, light = scene(tuple(truth + paint), 8, 8, seed)
         apart = np.median(size[:8], 0) - np.median(size[8:], 0)
         kept.append(truth)
         told.append(shadows(size, light) - truth)
         all_.append(apart - truth)
-    rms = [np.sqrt(np.mean(np.square(e))) for e in (told, kept, all_)]
+        usual.append(USUAL - truth)
+    rms = [np.sqrt(np.mean(np.square(e))) for e in (told, kept, all_, usual)]
     assert rms[0] < 0.9 * min(rms[1:])
+    assert abs(np.mean(told)) < 0.006, "unbiased over scenes as the prior draws them"
 
 
-@pytest.mark.parametrize("dark, light", [(LEAST_PAINTED - 1, 50), (50, LEAST_PAINTED - 1), (0, 0)])
-def test_too_few_to_compare(dark, light):
-    assert (shadows(*scene((0.1, 0.2), dark, light)) == 0).all()
+@pytest.mark.parametrize("dark, light", [(LEAST_PAINTED - 1, 50), (50, LEAST_PAINTED - 1), (1, 0)])
+def test_where_too_few_can_be_compared_the_usual_is_taken_off(dark, light):
+    size, paint = scene((0.1, 0.2), dark, light)
+    usual = SHADOW_PX / np.exp(np.median(size, 0))
+    assert shadows(size, paint) == pytest.approx(usual)
+    assert shadows(size, paint, 2.0) == pytest.approx(2 * usual), "in pixels that show detail"
+    assert shadows(size + np.log(3), paint) == pytest.approx(usual / 3), "near vehicles are separable"
+
+
+@pytest.mark.parametrize("light", [0, 50])
+def test_without_dark_vehicles_nothing_is_taken_off(light):
+    assert (shadows(*scene((0.1, 0.2), 0, light)) == 0).all()
 
 
 class SeesShadows(Sees):

@@ -109,7 +109,7 @@ def _measured(
         kept = open_things.enter_context(Kept(key)) if key else None
         raw = _looked_at(pictures, proposed, look, worker_count(effort.workers), kept, progress)
     outlined, soft = _moved_out(raw, measurer.card, float(enlarged))
-    told, too_large = _without_shadows(outlined)
+    told, too_large = _without_shadows(outlined, float(enlarged))
     return _Seen(index, proposed, told, enlarged, soft, too_large)
 
 
@@ -147,7 +147,7 @@ def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
         yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
     length, width = (signed(each) for each in np.expm1(seen.too_large))
     if {length, width} != {signed(0.0)}:
-        yield f"shadows made dark vehicles appear larger, by {length} in length and {width} in width: corrected"
+        yield f"shadows make dark vehicles appear larger, by {length} in length and {width} in width: corrected"
     if seen.enlarged > 1:
         yield f"the picture is enlarged {float(seen.enlarged):g} times beyond its detail: measured at reduced size"
     if round(seen.soft, 2) > 1:
@@ -206,11 +206,11 @@ def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -
     return moved, soft
 
 
-def _without_shadows(told: Mapping[str, Measured]) -> tuple[dict[str, Measured], np.ndarray]:
+def _without_shadows(told: Mapping[str, Measured], pixel: float) -> tuple[dict[str, Measured], np.ndarray]:
     """`told` without the shadows in the boxes of dark vehicles, and (2,) the log factor of length and width that this
-    takes off."""
+    takes off. pixel : as in `_moved_out`."""
     every = [(np.log(t.boxes.xylwa[:, 2:4]), np.where(t.kind[:, -1] < NONE, t.light, np.nan)) for t in told.values()]
-    too_large = shadows(*(np.concatenate(part) for part in zip(*every, strict=True))) if every else np.zeros(2)
+    too_large = shadows(*(np.concatenate(part) for part in zip(*every, strict=True)), pixel) if every else np.zeros(2)
     without = {}
     for name, t in told.items():
         xylwa = t.boxes.xylwa.copy()
