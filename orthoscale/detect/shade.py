@@ -26,9 +26,9 @@ LIGHTS = (0.01, 0.99)  # these quantiles
 DARK, LIGHT = 0.35, 0.9  # lightness below which a vehicle may merge with its shadow, and above which it does not
 LEAST_PAINTED = 5  # vehicles, both dark and light, that are needed to compare their sizes
 ALIKE = 0.35  # log length from the median within which vehicles are compared: lorries are left out
-# By how much shadows enlarge the dark vehicles of a scene on average, in length and in width [px]. At four of five scenes
-# with vehicles of 16 to 24 px they add 0.6 to 0.9 px to lengths, and up to 1.5 to widths; at the fifth, and where
-# vehicles have 47 px, nothing (training/measurer/README.md, "Dark vehicles and black shadows").
+# By how much shadows enlarge the dark vehicles of a scene on average, in length and in width [px]. At four of five
+# scenes with vehicles of 16 to 24 px they add 0.6 to 0.9 px to lengths, and up to 1.5 to widths; at the fifth, and
+# where vehicles have 47 px, nothing (training/measurer/README.md, "Dark vehicles and black shadows").
 SHADOW_PX = 0.5
 # By how much dark and light vehicles really differ in log length and width (white vans, black limousines).
 OF_PAINT_SD = 0.02
