@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
-from ..core.normal import ROBUST_SD
+from ..core.normal import robust_sd
 from ..core.progress import Progress
 from ..core.remarks import amount, signed
 from ..core.ruler import Ruler
@@ -247,8 +247,7 @@ def _change(seen: _Seen) -> _Change:
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
     log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])
-    middle = np.median(log_ratio, axis=0)
-    return _Change(middle, ROBUST_SD * np.median(np.abs(log_ratio - middle), axis=0))
+    return _Change(np.median(log_ratio, axis=0), robust_sd(log_ratio))
 
 
 def _corrected(boxes: Boxes, change: _Change) -> Boxes:
