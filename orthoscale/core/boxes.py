@@ -102,10 +102,19 @@ class Boxes(Brief):
         return self.xylwa[:, 4]
 
     @property
+    def along(self) -> np.ndarray:
+        """(N, 2) unit vectors along the long sides."""
+        return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
+
+    @property
+    def across(self) -> np.ndarray:
+        """(N, 2) unit vectors along the short sides: `along`, a quarter turn clockwise on screen."""
+        return np.stack([-np.sin(self.angle), np.cos(self.angle)], -1)
+
+    @property
     def corners(self) -> np.ndarray:
         """(N, 4, 2) [px]: front right, rear right, rear left, front left, if the angle's direction is forward."""
-        along = np.stack([np.cos(self.angle), np.sin(self.angle)], -1) * self.length[:, None] / 2
-        across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
+        along, across = self.along * self.length[:, None] / 2, self.across * self.width[:, None] / 2
         c = self.centre
         return np.stack([c + along + across, c - along + across, c - along - across, c + along - across], 1)
 

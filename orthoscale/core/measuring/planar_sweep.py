@@ -194,9 +194,10 @@ class _Above(NamedTuple):
     def of(cls, picture: GroundView, boxes: Boxes, offset: np.ndarray) -> _Above:
         """Those of one `picture`; their offsets from below the camera in its own axes."""
         place = picture.ground(boxes.centre)
-        along = picture.ground(boxes.centre + _heading(boxes)) - place
+        along = picture.ground(boxes.centre + boxes.along) - place
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
-        return cls(boxes, place, along, _along(boxes, offset), np.full((len(boxes), 1), picture.camera_height))
+        own = np.stack([(offset * boxes.along).sum(1), (offset * boxes.across).sum(1)], -1)
+        return cls(boxes, place, along, own, np.full((len(boxes), 1), picture.camera_height))
 
     @classmethod
     def all_of(cls, parts: Sequence[_Above]) -> _Above:
@@ -210,18 +211,6 @@ def _shown(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray)
     pictures = {picture.name: picture for picture in source.ground_pictures}
     images = [pictures[name].image for name in looked_at(found) if name in pictures]
     return frames_in_view(source, images, place, float(np.median(boxes.length)) / 2, NEAR_NADIR)
-
-
-def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
-    """(N, 2) the vectors `offset` (N, 2), given in picture axes, in the axes of the boxes' long and short sides."""
-    heading = _heading(boxes)
-    across = np.stack([-heading[:, 1], heading[:, 0]], -1)
-    return np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1)
-
-
-def _heading(boxes: Boxes) -> np.ndarray:
-    """(N, 2) unit vectors along the boxes' long sides, in their picture's axes."""
-    return np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
 
 
 def _whole(picture: GroundView, boxes: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

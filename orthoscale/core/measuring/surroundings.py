@@ -78,7 +78,7 @@ def rows_in_model(
 
 def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
     """(N, 3) unit vectors along the long sides of boxes (N,) in the frames `names` (N,), in world coordinates."""
-    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
+    along, _ = ground_axes(boxes, views)
     out = np.empty_like(along)
     for name in np.unique(names):
         here = names == name
