@@ -189,9 +189,8 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     its views share."""
     views = np.maximum(votes.views, 1)
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 * of_median(views)[:, None]
-    if votes.sigma is not None:
-        own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
-        variance = np.where(np.isfinite(own), own, variance)
+    own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
+    variance = np.where(np.isfinite(own), own, variance)
     if votes.lasting is not None:
         variance = variance + (votes.lasting * votes.size) ** 2
     return np.sqrt(variance)
@@ -199,7 +198,7 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
 
 def _called(votes: Votes, ruler: Ruler) -> np.ndarray:
     """(N, 4) probability of each kind for each vote, zeros where it was not assessed; (N, 0) if kinds are not used."""
-    if votes.kinds is None or not ruler.kinds or np.isnan(votes.kinds).all():
+    if not ruler.kinds or np.isnan(votes.kinds).all():
         return np.empty((len(votes), 0))
     return np.where(np.isnan(votes.kinds).any(1, keepdims=True), 0.0, votes.kinds)
 
