@@ -248,6 +248,9 @@ def test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly():
     steep, flat = away < np.quantile(away, 0.2), away > np.quantile(away, 0.7)
     lasting = np.hypot(*seen.lasting.T)
     assert lasting[steep].max() < np.median(lasting[flat]), "steep views are surer"
+    wide = replace(above, ruler=replace(above.ruler, margin=(3.0, 2.0)))
+    with_margin = SweepGeometry.of(block.source, wide).observe(block.metres_per_unit)
+    assert np.array_equal(with_margin.size, seen.size) and with_margin.ruler.margin == (3.0, 2.0), "taken off later"
 
 
 class _With:

@@ -441,6 +441,14 @@ def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
     assert off[body] < POOLED and all(off[name] > 0.01 for name in off if name != body)
 
 
+def test_the_margin_is_left_in_the_sizes_from_which_it_is_taken_off_later(tmp_path):
+    view, photo = view_from(-50), open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-50)
+    found = detections_of({"a.jpg": boxes_in(view)})
+    wide = replace(found, ruler=replace(found.ruler, margin=(3.0, 2.0)))
+    plain, seen = (PhotoGeometry.of([photo], each).observe(1.0) for each in (found, wide))
+    assert np.array_equal(seen.size, plain.size) and seen.ruler.margin == (3.0, 2.0)
+
+
 def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path, fleet):
     made = []
 

@@ -113,7 +113,7 @@ def _in_modes(source: PosedSet, found: Detections, fleet: Fleet, method: Method,
 def _fitted(oblique: Measurement | None, planar: Detections) -> OwnRuler | None:
     """The ruler fitted to the views of `oblique`, for the boxes `planar` of a network with the same card; else None."""
     calibration = oblique.findings.calibration if oblique is not None else None
-    if calibration is None or not np.array_equal(calibration.card.body_alone.value, card_of(planar).value):
+    if calibration is None or not np.array_equal(calibration.card.body_alone.value, card_of(planar).body_alone.value):
         return None
     return calibration.ruler
 
