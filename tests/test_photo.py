@@ -458,7 +458,7 @@ def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch,
             raise InterruptedError
 
     monkeypatch.setattr("orthoscale.detect.detector.Detector", Network)
-    for module in ("workers", "find"):
+    for module in ("workers", "effort"):
         monkeypatch.setattr(f"orthoscale.detect.{module}.cores", lambda: 32)
     photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL)
     for looking in (Looking(), Looking(detector=tmp_path / "own.onnx")):

@@ -93,7 +93,8 @@ def _detected(
     photos: Sequence[Photo], how: Looking, fleet: Fleet, calibration: Calibration | None, progress: Progress | None
 ) -> Detections:
     from ..detect.detector import Detector, Passes
-    from ..detect.find import Effort, find_vehicles
+    from ..detect.effort import Effort
+    from ..detect.find import find_vehicles
     from ..detect.measurer import Measurer
     from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 
