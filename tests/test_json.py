@@ -343,11 +343,13 @@ def test_the_limits_of_a_number_are_told_as_they_are(tmp_path):
     assert refusal(read_calibration, tmp_path / "l.json").endswith("(fx: expected a positive number)")
 
 
-def test_the_tables_that_are_shipped_fit_their_own_schemas():
+def test_the_tables_that_are_shipped_are_made_as_they_should():
+    from support.tables import TABLES
+
     from orthoscale.formats.reading import read
-    from orthoscale.formats.schemas import fleets, standards
 
     data = Path(orthoscale.__file__).parent / "data"
-    tables = {"fleets": fleets.FleetTable, "objects": standards.ObjectTable, "stalls": standards.StallTable}
-    for name, schema in {**tables, "facilities": standards.FacilityTable}.items():
+    for name, schema in TABLES.items():
         read(data / f"{name}.json", schema, "a table")
+    with pytest.raises(InputError):
+        read(data / "stalls.json", TABLES["objects"], "a table")
