@@ -411,6 +411,30 @@ MUTANTS = (
         "if False:",
         "tests/test_outputs_guard.py::test_outputs_of_one_command_never_share_a_place",
     ),
+    Mutant(
+        "photos/measure.py",
+        "card_of(self.found).body_alone",
+        "card_of(self.found)",
+        f"{PHOTO}test_the_margin_is_left_in_the_sizes_from_which_it_is_taken_off_later",
+    ),
+    Mutant(
+        "core/measuring/planar_sweep.py",
+        "card_of(found).body_alone",
+        "card_of(found)",
+        "tests/test_blocks.py::test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly",
+    ),
+    Mutant(
+        "core/measuring/surroundings.py",
+        "kept = ~votes.fleeting",
+        "kept = np.ones(len(votes), bool)",
+        "tests/test_model_evidence.py::test_vehicles_that_only_one_of_many_frames_shows_make_no_row",
+    ),
+    Mutant(
+        "core/measuring/in_view.py",
+        "count += inside & steep",
+        "count += inside",
+        "tests/test_model_evidence.py::test_a_frame_that_sees_a_place_from_too_low_does_not_count",
+    ),
 )
 
 
