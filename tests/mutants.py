@@ -39,7 +39,7 @@ BODY = f"{CHOICES}test_the_body_of_a_car_in_metres"
 EVIDENCE, PROJECTED, PHOTO = "tests/test_evidence.py::", "tests/test_projection.py::", "tests/test_photo.py::"
 ALIKE = f"{CHOICES}test_what_two_measurements_of_the_same_vehicles_may_differ_by"
 LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
-FUSED, POOLING = "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
+BLOCKS, FUSED, POOLING = "tests/test_blocks.py::", "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
 UNITED = (
     "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
 )
@@ -421,7 +421,7 @@ MUTANTS = (
         "core/measuring/planar_sweep.py",
         "card_of(found).body_alone",
         "card_of(found)",
-        "tests/test_blocks.py::test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly",
+        f"{BLOCKS}test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly",
     ),
     Mutant(
         "core/measuring/surroundings.py",
@@ -434,6 +434,18 @@ MUTANTS = (
         "count += inside & steep",
         "count += inside",
         "tests/test_model_evidence.py::test_a_frame_that_sees_a_place_from_too_low_does_not_count",
+    ),
+    Mutant(
+        "core/measuring/planar_sweep.py",
+        "above.offset / source.focal.ratio",
+        "above.offset",
+        f"{BLOCKS}test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher",
+    ),
+    Mutant(
+        "core/measuring/oblique.py",
+        ".with_focal(source.focal.ratio)",
+        "",
+        f"{BLOCKS}test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher",
     ),
 )
 
