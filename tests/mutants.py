@@ -447,6 +447,8 @@ MUTANTS = (
         "",
         f"{BLOCKS}test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher",
     ),
+    Mutant("core/measuring/joining.py", "np.maximum(views[ia], b.votes.views[ib])", "views[ia]", UNITED),
+    Mutant("core/measuring/joining.py", "common_sd=float(", "common_sd=0 * float(", UNITED),
 )
 
 
