@@ -449,6 +449,12 @@ MUTANTS = (
     ),
     Mutant("core/measuring/joining.py", "np.maximum(views[ia], b.votes.views[ib])", "views[ia]", UNITED),
     Mutant("core/measuring/joining.py", "common_sd=float(", "common_sd=0 * float(", UNITED),
+    Mutant(
+        "core/measuring/vehicles.py",
+        "log_scale[scale.used].mean() if",
+        "log_scale.mean() if",
+        "tests/test_vehicle_sizes.py::test_how_far_a_vehicle_is_off_is_told_from_the_mean_of_those_that_count",
+    ),
 )
 
 
