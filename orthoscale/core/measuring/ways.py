@@ -45,12 +45,10 @@ def measure_source(
         measured = measure(PlanGeometry.of(source, found), fleet, method)
         scale = plausible(measured.scale, measured.boxes, sum(doubts(found).values()), source.claimed.aspect)
         return _of_one_scale(replace(measured, scale=scale))
-    return measure_posed(source, found, fleet, method, mode)
+    return measure_posed(source, found, fleet, method or Method(), mode)
 
 
-def measure_posed(
-    source: PosedSet, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
-) -> Measurement:
+def measure_posed(source: PosedSet, found: Detections, fleet: Fleet, method: Method, mode: str | None) -> Measurement:
     """The scale of a reconstruction by the vehicles `found`, in each mode that `mode` allows and that has enough of
     them.
 
@@ -61,7 +59,6 @@ def measure_posed(
 
     Raises TooLittleEvidence, UsageError.
     """
-    method = method or Method()
     whole = _in_modes(source, found, fleet, method, mode)
     if not source.parts:
         return whole
