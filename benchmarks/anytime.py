@@ -27,7 +27,8 @@ from orthoscale.core.source import Picture, Plan
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.coarse_pass import FAR, FAR_TILES, UNPROMISING, hint
 from orthoscale.detect.detector import Detector, Passes
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import find_vehicles
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Found, Stop, sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles

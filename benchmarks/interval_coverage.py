@@ -119,7 +119,7 @@ def run(
         here = of_one_model(np.random.default_rng([1, k]), fleet) if one else fleet
         votes = car_park(rng, here, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most, hidden, exact=False)
         if not kinds:
-            votes = replace(votes, kinds=None)
+            votes = replace(votes, kinds=np.nan)
         try:
             scale = pool(votes, fleet, ruler, "m/px")
         except TooLittleEvidence:

@@ -33,7 +33,8 @@ from orthoscale.core.measuring.measure import measure
 from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.detect.detector import SHIPPED, Detector
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import find_vehicles
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, OVERLAP, TILE, read, tiles
 from orthoscale.detect.workers import cores, on_threads

@@ -59,7 +59,8 @@ def scene(rng: np.random.Generator, fleet: Fleet, n: int, gsd: float) -> Votes:
 
 def some_of(votes: Votes, index: np.ndarray) -> Votes:
     """The votes at `index`, which may repeat."""
-    values = {name: getattr(votes, name)[index] for name in ("size", "pixel", "views", "place", "score", "sigma")}
+    names = ("size", "pixel", "views", "place", "score", "sigma", "kinds")
+    values = {name: getattr(votes, name)[index] for name in names}
     return replace(votes, **values, members=[votes.members[k] for k in index])
 
 

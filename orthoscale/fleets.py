@@ -12,7 +12,7 @@ import numpy as np
 from .core.calibration import Calibration
 from .core.fleet import WORLD, Fleet, class_of
 from .errors import InputError, UsageError, shown
-from .formats.reading import checked, read_plain
+from .formats.reading import checked, read_plain, shipped
 from .system.paths import path_of
 
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
@@ -157,6 +157,5 @@ def _with_three_wheelers(fleet: Fleet) -> Fleet:
     return replace(fleet, three_wheelers=class_of(table, share) if share else None)
 
 
-@cache
 def _document() -> dict[str, Any]:
-    return read_plain(Path(__file__).parent / "data" / "fleets.json", "the table of fleets")
+    return shipped("fleets")

@@ -20,7 +20,7 @@ import numpy as np
 
 from .core.market_segments import AXES
 from .errors import InputError, TooLittleEvidence, shown
-from .formats.reading import read_plain, read_table, refuse_repeated
+from .formats.reading import read_table, refuse_repeated, shipped
 
 HEADINGS = {  # names that a column may have, in lower case without accents
     "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
@@ -168,7 +168,7 @@ def _models() -> dict[str, Model]:
     """Models by name, as its words joined without spaces, since a register writes CR-V, CRV or CR V."""
     generations: dict[str, list[Sequence[Any]]] = {}
     makes: dict[str, set[str]] = {}
-    for name, row in _table()["models"].items():
+    for name, row in shipped("models")["models"].items():
         model = _without_generation(name)
         for called in {"".join(_words(name)), model}:
             generations.setdefault(called, []).append(row)
@@ -183,13 +183,7 @@ def _models() -> dict[str, Model]:
 @cache
 def _makes() -> dict[str, set[str]]:
     """Models, without their generations, by make; all in lower-case ASCII."""
-    return {"".join(_words(make)): set(models) for makes, models in _table()["makes"] for make in makes}
-
-
-@cache
-def _table() -> dict[str, Any]:
-    table: dict[str, Any] = read_plain(Path(__file__).parent / "data" / "models.json", "the table of models")
-    return table
+    return {"".join(_words(make)): set(models) for makes, models in shipped("models")["makes"] for make in makes}
 
 
 def _without_generation(name: str) -> str:

@@ -39,7 +39,7 @@ BODY = f"{CHOICES}test_the_body_of_a_car_in_metres"
 EVIDENCE, PROJECTED, PHOTO = "tests/test_evidence.py::", "tests/test_projection.py::", "tests/test_photo.py::"
 ALIKE = f"{CHOICES}test_what_two_measurements_of_the_same_vehicles_may_differ_by"
 LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
-FUSED, POOLING = "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
+BLOCKS, FUSED, POOLING = "tests/test_blocks.py::", "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
 UNITED = (
     "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
 )
@@ -410,6 +410,50 @@ MUTANTS = (
         "if inside(path, other.path) or inside(other.path, path):",
         "if False:",
         "tests/test_outputs_guard.py::test_outputs_of_one_command_never_share_a_place",
+    ),
+    Mutant(
+        "photos/measure.py",
+        "card_of(self.found).body_alone",
+        "card_of(self.found)",
+        f"{PHOTO}test_the_margin_is_left_in_the_sizes_from_which_it_is_taken_off_later",
+    ),
+    Mutant(
+        "core/measuring/planar_sweep.py",
+        "card_of(found).body_alone",
+        "card_of(found)",
+        f"{BLOCKS}test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly",
+    ),
+    Mutant(
+        "core/measuring/surroundings.py",
+        "kept = ~votes.fleeting",
+        "kept = np.ones(len(votes), bool)",
+        "tests/test_model_evidence.py::test_vehicles_that_only_one_of_many_frames_shows_make_no_row",
+    ),
+    Mutant(
+        "core/measuring/in_view.py",
+        "count += inside & steep",
+        "count += inside",
+        "tests/test_model_evidence.py::test_a_frame_that_sees_a_place_from_too_low_does_not_count",
+    ),
+    Mutant(
+        "core/measuring/planar_sweep.py",
+        "above.offset / source.focal.ratio",
+        "above.offset",
+        f"{BLOCKS}test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher",
+    ),
+    Mutant(
+        "core/measuring/oblique.py",
+        ".with_focal(source.focal.ratio)",
+        "",
+        f"{BLOCKS}test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher",
+    ),
+    Mutant("core/measuring/joining.py", "np.maximum(views[ia], b.votes.views[ib])", "views[ia]", UNITED),
+    Mutant("core/measuring/joining.py", "common_sd=float(", "common_sd=0 * float(", UNITED),
+    Mutant(
+        "core/measuring/vehicles.py",
+        "log_scale[scale.used].mean() if",
+        "log_scale.mean() if",
+        "tests/test_vehicle_sizes.py::test_how_far_a_vehicle_is_off_is_told_from_the_mean_of_those_that_count",
     ),
 )
 

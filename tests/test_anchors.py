@@ -23,7 +23,7 @@ from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
 from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import _height_above, votes_in_model
-from orthoscale.detect.find import Effort
+from orthoscale.detect.effort import Effort
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.requests import EstimateRequest

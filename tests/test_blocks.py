@@ -15,12 +15,14 @@ from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Measurement, Pooled
-from orthoscale.core.measuring.oblique import HEIGHT_SD, shown_in_frames
+from orthoscale.core.measuring.method import Method
+from orthoscale.core.measuring.oblique import HEIGHT_SD, FramesGeometry, shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.systematic import ENDS, FITTED_ENDS, FITTED_SIDES, SIDES, Systematic
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.source import FocalDoubt
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.core.votes import Sightings, gather
 from orthoscale.errors import TooLittleEvidence
@@ -210,7 +212,7 @@ def test_what_a_picture_of_the_ground_enlarges_does_not_count():
         coarse.size = (int(picture.size[0] / times), int(picture.size[1] / times))
         coarse.seen = lambda points, times=times: (lambda at, off: (at / times, off))(*picture.seen(points))
         others = [coarse if p is picture else p for p in block.source.ground_pictures]
-        found = SweepGeometry.of(_With(block.source, others), block.found.planar)
+        found = SweepGeometry.of(_With(block.source, ground_pictures=others), block.found.planar)
         assert found.lost[TOO_COARSE] == pytest.approx(lost, abs=1)
         assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
 
@@ -248,13 +250,29 @@ def test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly():
     steep, flat = away < np.quantile(away, 0.2), away > np.quantile(away, 0.7)
     lasting = np.hypot(*seen.lasting.T)
     assert lasting[steep].max() < np.median(lasting[flat]), "steep views are surer"
+    wide = replace(above, ruler=replace(above.ruler, margin=(3.0, 2.0)))
+    with_margin = SweepGeometry.of(block.source, wide).observe(block.metres_per_unit)
+    assert np.array_equal(with_margin.size, seen.size) and with_margin.ruler.margin == (3.0, 2.0), "taken off later"
+
+
+def test_where_the_focal_length_is_longer_than_in_the_model_cameras_stand_as_much_higher():
+    """Above the same places, which they see in the same pictures, but more steeply."""
+    block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=40), unsure=False)
+    longer = _With(block.source, focal=FocalDoubt(1.1))
+    plain, higher = (SweepGeometry.of(source, block.found.planar) for source in (block.source, longer))
+    assert np.allclose(higher.camera, 1.1 * plain.camera)
+    assert np.allclose(higher.camera * higher.offset, plain.camera * plain.offset)
+    plain, higher = (FramesGeometry.of(source, block.found, FLEET, Method()) for source in (block.source, longer))
+    assert np.allclose(higher.views.lens, 1.1 * plain.views.lens)
+    above, more = (-(g.views.ground * g.views.normal).sum(1) for g in (plain, higher))
+    assert np.allclose(more, 1.1 * above) and (higher.views.elevation > plain.views.elevation).all()
 
 
 class _With:
-    """A source with other pictures of the ground."""
+    """A source of which some values are others."""
 
-    def __init__(self, source, ground_pictures):
-        self.source, self.ground_pictures = source, ground_pictures
+    def __init__(self, source, **values):
+        self.__dict__.update(values, source=source)
 
     def __getattr__(self, name):
         return getattr(self.source, name)

@@ -36,8 +36,9 @@ def test_corners_go_along_the_length_clockwise_on_screen():
     assert b.corners[0].tolist() == [[14, 21], [6, 21], [6, 19], [14, 19]]
     turned = boxes([0, 0, 8, 2, np.pi / 4])
     # y points down, so a positive angle turns the long side towards the lower right.
-    front = turned.corners[0, [0, 3]].mean(0)
+    front, right = turned.corners[0, [0, 3]].mean(0), turned.corners[0, [0, 1]].mean(0)
     assert front == pytest.approx([4 / np.sqrt(2), 4 / np.sqrt(2)])
+    assert turned.along[0] == pytest.approx(front / 4) and turned.across[0] == pytest.approx(right)
 
 
 def test_mapped_moves_and_scales_back_and_forth():

@@ -19,10 +19,9 @@ from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.scale import Scale
 from orthoscale.core.verdicts import UNUSABLE, reasons, remark_on_shape, verdict
-from orthoscale.detect.find import Effort
+from orthoscale.detect.effort import Effort
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks
-from orthoscale.detect.workers import worker_count
 from orthoscale.fleets import load_fleet
 from orthoscale.photos.measure import Photo
 from orthoscale.sources.colmap import ColmapSource
@@ -288,6 +287,6 @@ def test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_
     (1, None, 1, 1), (2, None, 2, 1), (8, None, 8, 1), (32, None, 8, 4), (32, 4, 4, 8), (2, 16, 16, 1),
 ])  # fmt: skip
 def test_threads_share_the_cores_among_them(monkeypatch, cores, asked, workers, each):
-    for module in ("workers", "find"):
+    for module in ("workers", "effort"):
         monkeypatch.setattr(f"orthoscale.detect.{module}.cores", lambda: cores)
-    assert worker_count(asked) == workers and Effort(workers=asked).threads_each == each
+    assert Effort(workers=asked).threads == workers and Effort(workers=asked).threads_each == each

@@ -10,6 +10,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.confirmed import seldom_confirmed, share_confirmed
 from orthoscale.core.detections import ZoomChoice
 from orthoscale.detect import tie_break
+from orthoscale.detect.effort import Effort
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -58,7 +59,7 @@ def test_the_length_of_which_more_is_confirmed_comes_first(monkeypatch, standing
     asked = dict(zip((23.0, 42.0), standing, strict=True))
     monkeypatch.setattr(tie_break, "_standing", lambda length, *_: asked[length])
     detector = SimpleNamespace(confirming=object(), card=SimpleNamespace(best_length=38.0))
-    settled = tie_break.settled(ZoomChoice(38 / 23, 23.0, 100.0, 42.0, 0.39, [], True), [], detector)
+    settled = tie_break.settled(ZoomChoice(38 / 23, 23.0, 100.0, 42.0, 0.39, [], True), [], detector, Effort())
     assert settled.vehicle_px == first and settled.rival == pytest.approx(rival)
     assert settled.zoom == pytest.approx(38 / first) and {settled.vehicle_px, settled.rival_px} == {23.0, 42.0}
     assert (settled.as_likely is None) == (rival < 0.4)
@@ -66,9 +67,9 @@ def test_the_length_of_which_more_is_confirmed_comes_first(monkeypatch, standing
 
 def test_a_clear_length_is_not_looked_at_again():
     clear = ZoomChoice(1.0, 38.0, 100.0, 20.0, 0.15, [], True)
-    assert tie_break.settled(clear, [], SimpleNamespace(confirming=object())) is clear
+    assert tie_break.settled(clear, [], SimpleNamespace(confirming=object()), Effort()) is clear
     open_ = ZoomChoice(1.0, 38.0, 100.0, 20.0, 0.35, [], True)
-    assert tie_break.settled(open_, [], SimpleNamespace(confirming=None)) is open_
+    assert tie_break.settled(open_, [], SimpleNamespace(confirming=None), Effort()) is open_
 
 
 @pytest.mark.slow

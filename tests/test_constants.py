@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from scipy.stats import norm
 
 import orthoscale
-from orthoscale.core.normal import ROBUST_SD, Z90, median_sd, of_median
+from orthoscale.core.normal import ROBUST_SD, Z90, median_sd, of_median, robust_sd
 from orthoscale.core.round_numbers import round_above, round_below, scale_bar
 from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
@@ -95,6 +95,13 @@ def test_the_normal_distributions_numbers_have_one_owner():
 def test_the_normal_distributions_numbers_are_right():
     assert pytest.approx(norm.ppf(0.95), abs=1e-4) == Z90
     assert pytest.approx(1 / norm.ppf(0.75), abs=1e-4) == ROBUST_SD
+
+
+def test_the_robust_sigma_is_that_of_each_column_about_its_own_middle_whatever_a_few_do():
+    drawn = np.random.default_rng(0).normal((5, -70), (1, 3), (40_000, 2))
+    drawn[:100] = 1e9
+    assert robust_sd(drawn) == pytest.approx([1, 3], rel=0.02)
+    assert robust_sd(drawn[:, 1]) == robust_sd(drawn)[1] and robust_sd(np.array([4.0])) == 0
 
 
 def variance_of_median(count):

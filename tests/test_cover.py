@@ -12,7 +12,8 @@ from orthoscale.actions.find import Sampling, VehicleSearch, find_in_model
 from orthoscale.core.detections import Detections
 from orthoscale.core.source import NEAR_NADIR
 from orthoscale.detect.cover import ENOUGH_VIEWS, Cover, covering, places_seen, seen_from_above
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import find_vehicles
 from orthoscale.sources.colmap import ColmapSource
 
 

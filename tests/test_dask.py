@@ -13,7 +13,8 @@ from support.cluster import killing_one
 from orthoscale.actions import processes
 from orthoscale.detect import workers
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import find_vehicles
 from orthoscale.errors import UsageError
 from orthoscale.sources.raster import RasterSource
 from orthoscale.system import budget

@@ -45,9 +45,9 @@ def test_a_tilt_is_found_with_its_size_and_direction():
     result = drift(measured(np.random.default_rng(1), 600, lambda x, y: 0.08 * x), WIDTH, HEIGHT, GSD)
     assert result.tilt == pytest.approx(0.08, abs=3 * result.tilt_sd) and result.tilt_sd < 0.03
     assert abs(result.direction) < 0.4 and result.tilts
-    assert "towards the right" in result.remark and "is bent" not in result.remark
+    assert "towards the right" in result.warnings[0] and "is bent" not in result.warnings[0]
     upwards = drift(measured(np.random.default_rng(1), 600, lambda x, y: -0.08 * y), WIDTH, HEIGHT, GSD)
-    assert "towards the top" in upwards.remark
+    assert "towards the top" in upwards.warnings[0]
 
 
 @pytest.mark.parametrize("along, across", [(0.08, 0.0), (0.0, 0.08), (0.06, 0.06)])
@@ -81,7 +81,7 @@ def test_a_drift_is_that_of_the_ground_where_pixels_are_not_square(aspect):
 
 def test_a_bowl_is_found():
     result = drift(measured(np.random.default_rng(2), 900, lambda x, y: 0.3 * (x * x + y * y)), WIDTH, HEIGHT, GSD)
-    assert result.p_bend < 1e-3 and "bent" in result.remark
+    assert result.p_bend < 1e-3 and "bent" in result.warnings[0]
 
 
 def test_the_map_shows_the_scale_by_place():
@@ -95,7 +95,7 @@ def test_the_map_shows_the_scale_by_place():
 @pytest.mark.parametrize("clusters", [None, 12])
 def test_false_alarms_are_as_rare_as_promised(clusters):
     rng = np.random.default_rng(4)
-    alarms = sum(bool(drift(measured(rng, 120, clusters=clusters), WIDTH, HEIGHT, GSD).remark) for _ in range(80))
+    alarms = sum(bool(drift(measured(rng, 120, clusters=clusters), WIDTH, HEIGHT, GSD).warnings) for _ in range(80))
     assert alarms <= 4, "two tests at half a per cent: 0.8 expected"
 
 
@@ -109,7 +109,7 @@ def test_vehicles_in_one_corner_are_no_drift():
     vehicles["x_unit"] *= 0.05
     vehicles["y_unit"] *= 0.05
     result = drift(vehicles, WIDTH, HEIGHT, GSD)
-    assert result.remark == "" and result.p_tilt == 1.0
+    assert result.warnings == [] and result.p_tilt == 1.0
 
 
 def scale_of_whole(sd=0.025):
@@ -123,7 +123,7 @@ def scale_of_whole(sd=0.025):
 def test_one_judgement_of_drift(p, tilt, drifts):
     """Warned of and shown alike: not what chance makes, not what nobody need know."""
     found = Drift(tilt, p, cells=np.empty((0, 5)), cell=(1.0, 1.0), tilt_sd=0.01, direction=0.0)
-    assert found.drifts is drifts and bool(found.remark) is drifts and (found.amplitude > 0) is drifts
+    assert found.drifts is drifts and bool(found.warnings) is drifts and (found.amplitude > 0) is drifts
     told = SimpleNamespace(drift=found, scale=scale_of_whole(), remarks=[], modes={})
     assert judgement._places(told).severity == (CAUTION if drifts else SUPPORT)
 
@@ -212,5 +212,5 @@ def test_boxes_that_are_all_alike_show_no_drift(capfd):
     size = np.tile([44.0, 18.0], (200, 1))
     votes = gather(Sightings(size, np.ones(200), place, np.ones(200)), repeated=False)
     result = drift(table(votes), WIDTH, HEIGHT, GSD)
-    assert result.remark == "" and np.isfinite(result.tilt_sd)
+    assert result.warnings == [] and np.isfinite(result.tilt_sd)
     assert capfd.readouterr() == ("", "")

@@ -9,8 +9,8 @@ import pytest
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
+from orthoscale.detect.effort import Effort
 from orthoscale.detect.enlarged import enlargement
-from orthoscale.detect.find import Effort
 from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard, _window
 from orthoscale.detect.remeasure import remeasured
 from orthoscale.detect.windows import windows_about

@@ -12,7 +12,8 @@ from orthoscale.core.equal_sizes import all_alike, more_of_the_same
 from orthoscale.core.measuring.in_view import looked_at
 from orthoscale.core.measuring.measure import doubts
 from orthoscale.detect import zoom
-from orthoscale.detect.find import WHY_EQUAL, Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import WHY_EQUAL, find_vehicles
 
 
 def rows(rng, columns, lines, length, scatter, at=(0.0, 0.0), gap=1.3):

@@ -15,8 +15,9 @@ from orthoscale.anchors.search import Sought, search
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Tile
 from orthoscale.detect.detector import Detector
+from orthoscale.detect.effort import Effort
 from orthoscale.detect.filled import Filled, filled
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.find import find_vehicles
 from orthoscale.detect.tiles import tiles
 from orthoscale.detect.zoom import ZOOM_LEVELS, sample, search_zoom
 from orthoscale.sources.raster import RasterSource

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from inspect import Parameter, isfunction, signature
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from orthoscale.detect.detector import Card
 from orthoscale.detect.output_forms import _pipeline_normalisation
 from orthoscale.errors import InputError, OrthoscaleError, shown
 from orthoscale.fleets import load_fleet
+from orthoscale.formats import reading
 from orthoscale.formats.calibration import load_calibration
 from orthoscale.formats.detections import load
 from orthoscale.formats.detections.own import load_detections
@@ -137,7 +139,7 @@ def damaged(values, place, new):
 def refusal(read, path):
     with pytest.raises(InputError) as raised:
         read(path)
-    assert raised.value.exit_code == 5
+    assert raised.value.exit_code == 5 and raised.value.hint
     message = raised.value.message
     assert str(path) in message and message.isprintable() and len(message) < 1000 + len(str(path))
     for word in ("Error", "Traceback", "NoneType", "float'", "dict", "invalid literal", "could not convert"):
@@ -343,11 +345,19 @@ def test_the_limits_of_a_number_are_told_as_they_are(tmp_path):
     assert refusal(read_calibration, tmp_path / "l.json").endswith("(fx: expected a positive number)")
 
 
-def test_the_tables_that_are_shipped_fit_their_own_schemas():
-    from orthoscale.formats.reading import read
-    from orthoscale.formats.schemas import fleets, standards
+def test_every_reader_of_files_is_given_a_hint_for_its_errors():
+    here = [each for each in vars(reading).values() if getattr(each, "__module__", "") == reading.__name__]
+    given = [hint for each in here if isfunction(each) and (hint := signature(each).parameters.get("hint"))]
+    assert len(given) > 8 and all(hint.default is Parameter.empty for hint in given)
+    with pytest.raises(InputError, match="install it again"):
+        reading.shipped("no such table")
+
+
+def test_the_tables_that_are_shipped_are_made_as_they_should():
+    from support.tables import TABLES
 
     data = Path(orthoscale.__file__).parent / "data"
-    tables = {"fleets": fleets.FleetTable, "objects": standards.ObjectTable, "stalls": standards.StallTable}
-    for name, schema in {**tables, "facilities": standards.FacilityTable}.items():
-        read(data / f"{name}.json", schema, "a table")
+    for name, schema in TABLES.items():
+        reading.read(data / f"{name}.json", schema, "a table", "")
+    with pytest.raises(InputError):
+        reading.read(data / "stalls.json", TABLES["objects"], "a table", "")

@@ -32,7 +32,7 @@ def errors(fleet, seen, places=36, n=60, **odd):
     rows = []
     for k in range(places):
         votes = car_park(np.random.default_rng([8, k]), fleet, n, GSD, RULER, **odd)
-        scale = pool(votes if seen else replace(votes, kinds=None), fleet, RULER, "m/px")
+        scale = pool(votes if seen else replace(votes, kinds=np.nan), fleet, RULER, "m/px")
         low, high = scale.interval90
         rows.append((np.log(scale.value / GSD), scale.relative_sd, low <= GSD <= high))
     return np.array(rows).T
@@ -72,9 +72,9 @@ def test_kinds_are_counted_in_words():
 def test_without_a_table_or_a_look_kinds_change_nothing():
     fleet = load_fleet("US")
     votes = car_park(np.random.default_rng(1), fleet, 60, GSD, RULER)
-    unseen = replace(votes, kinds=np.full((60, 4), np.nan))
-    plain = pool(replace(votes, kinds=None), fleet, SILENT, "m/px")
-    for some, ruler in ((votes, SILENT), (unseen, RULER), (replace(votes, kinds=None), RULER)):
+    unseen = replace(votes, kinds=np.nan)
+    plain = pool(unseen, fleet, SILENT, "m/px")
+    for some, ruler in ((votes, SILENT), (unseen, RULER)):
         other = pool(some, fleet, ruler, "m/px")
         assert other.value == plain.value and other.interval90 == plain.interval90 and other.parts == plain.parts
     assert pool(votes, fleet, RULER, "m/px").value != plain.value
@@ -127,7 +127,7 @@ def test_pickups_tell_the_country(code, more):
     votes = [car_park(np.random.default_rng([9, k]), load_fleet(code), 60, GSD, RULER) for k in range(4)]
     with_kinds, without = (
         np.mean([pool(v, unknown, RULER, "m/px").fleets.get("US", 0.0) for v in seen])
-        for seen in (votes, [replace(v, kinds=None) for v in votes])
+        for seen in (votes, [replace(v, kinds=np.nan) for v in votes])
     )
     assert (with_kinds / without > more) == (more > 1) and without > 0.1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.measuring.footing import GROUND_SD, Footing
+from orthoscale.core.measuring.in_view import frames_in_view
 from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.surroundings import objects_in_model, rows_in_model
 from orthoscale.core.measuring.ways import measure_source
@@ -118,6 +120,29 @@ def test_rows_err_with_the_ground_on_which_their_vehicles_stand(shared):
     (vote,), (alone,) = (rows_in_model(votes, along, standards(), "DE", *more) for more in ((footing,), ()))
     assert vote.shared_sd == pytest.approx(shared) and alone.shared_sd == GROUND_SD
     assert vote.relative_sd == pytest.approx(np.hypot(alone.relative_sd, 0.02))
+
+
+def test_vehicles_that_only_one_of_many_frames_shows_make_no_row():
+    stalls = np.array([[2.5 * k, 6.0 * row, 0.0] for row in range(3) for k in range(12)]) / UNIT
+    size, along = np.full((len(stalls), 2), (4.5, 1.8)) / UNIT, np.tile([0.0, 1.0, 0.0], (len(stalls), 1))
+    votes = gather(Sightings(size, np.full(len(stalls), 0.01), stalls, np.ones(len(stalls))), repeated=False)
+    (row,) = rows_in_model(replace(votes, shown=np.full(len(stalls), 2)), along, standards(), "DE")
+    assert row.anchor.count == len(stalls)
+    assert not rows_in_model(replace(votes, shown=np.full(len(stalls), 9)), along, standards(), "DE")
+
+
+@pytest.mark.parametrize("lowest, count", [(0, 2), (40, 1), (80, 0)])
+def test_a_frame_that_sees_a_place_from_too_low_does_not_count(lowest, count):
+    """From one side at 45 degrees, and from the other at 26; a third camera looks elsewhere."""
+    centres = {"near": np.array([1.0, 0, 1]), "far": np.array([-2.0, 0, 1]), "away": np.array([0.0, 0, 1])}
+    source = SimpleNamespace(
+        ground=SimpleNamespace(up=np.array([0.0, 0, 1])),
+        centre=centres.__getitem__,
+        image_size=lambda name: (100, 80),
+        project=lambda name, place: np.full((len(place), 2), np.nan if name == "away" else 40.0),
+    )
+    assert frames_in_view(source, centres, np.zeros((1, 3)), 5.0, lowest).tolist() == [count]
+    assert frames_in_view(source, centres, np.zeros((1, 3)), 45.0, lowest).tolist() == [0], "cut off"
 
 
 @pytest.mark.parametrize(("kind", "size"), [("tennis-court", COURT), ("container", CONTAINER)])

@@ -13,7 +13,7 @@ from orthoscale.core.fleet import Fleet
 from orthoscale.core.market_segments import Class
 from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import fit
-from orthoscale.core.pooling.observed import FAITHFUL, Seen
+from orthoscale.core.pooling.observed import Seen
 from orthoscale.core.pooling.one_model import PLACES_OF_ONE, WITHIN_MODEL, of_one_model
 from orthoscale.core.pooling.problem import Mix, believed, combine
 from orthoscale.core.pooling.robust import pool
@@ -85,7 +85,7 @@ def test_the_evidence_is_that_of_a_mix_whose_only_class_is_the_model():
     # What is left of a class's own spread is common to all vehicles of one model.
     systematic = believed(MARGIN["margin"] + model.log_covariance + fleet.class_mean_covariance((model,)))
     (mix,) = fit(seen, [Mix((model,), systematic, combine(systematic))])
-    one = of_one_model(seen, fleet, MARGIN, FAITHFUL, None)
+    one = of_one_model(seen, fleet, MARGIN)
     # LARGER takes its share of the models, no more.
     assert one.log_evidence == pytest.approx(mix.log_evidence, abs=0.3)
     assert one.probability(mix.log_evidence) == pytest.approx(PLACES_OF_ONE, rel=0.3)

@@ -19,13 +19,17 @@ from support.camera import simple_views
 from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.calibration import Calibration
 from orthoscale.core.detections import UNKNOWN_RULER
+from orthoscale.core.fleet import WORLD
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
+from orthoscale.core.ruler import Ruler
 from orthoscale.detect.detector import Passes
 from orthoscale.detect.workers import worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.calibration import save_calibration
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate.claimed import claimed_scales
 from orthoscale.locate.level import LevelledPhoto
@@ -441,6 +445,30 @@ def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
     assert off[body] < POOLED and all(off[name] > 0.01 for name in off if name != body)
 
 
+def test_the_margin_is_left_in_the_sizes_from_which_it_is_taken_off_later(tmp_path):
+    view, photo = view_from(-50), open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-50)
+    found = detections_of({"a.jpg": boxes_in(view)})
+    wide = replace(found, ruler=replace(found.ruler, margin=(3.0, 2.0)))
+    plain, seen = (PhotoGeometry.of([photo], each).observe(1.0) for each in (found, wide))
+    assert np.array_equal(seen.size, plain.size) and seen.ruler.margin == (3.0, 2.0)
+
+
+def test_a_calibration_gives_the_boxes_of_photos_its_ruler_and_is_read_once(tmp_path, fleet):
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-50)
+    found = detections_of({"a.jpg": boxes_in(view_from(-50))})
+    save_detections(found, tmp_path / "boxes.json")
+    for name, detector in (("own", found.detector_sha256), ("other", "ff")):
+        save_calibration(Calibration(name, detector, Ruler((3.0, 2.0)), None, {}), tmp_path / f"{name}.json")
+    how, other = (
+        Looking(detections=tmp_path / "boxes.json", calibration=tmp_path / f"{name}.json") for name in ("own", "other")
+    )
+    assert how.ruler_fleet([photo.path])[0].code == WORLD
+    (tmp_path / "own.json").unlink()
+    assert boxes_of([photo], how, fleet).ruler == Ruler((3.0, 2.0))
+    with pytest.raises(UsageError, match="measured for other"):
+        boxes_of([photo], other, fleet)
+
+
 def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path, fleet):
     made = []
 
@@ -450,7 +478,7 @@ def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch,
             raise InterruptedError
 
     monkeypatch.setattr("orthoscale.detect.detector.Detector", Network)
-    for module in ("workers", "find"):
+    for module in ("workers", "effort"):
         monkeypatch.setattr(f"orthoscale.detect.{module}.cores", lambda: 32)
     photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL)
     for looking in (Looking(), Looking(detector=tmp_path / "own.onnx")):

@@ -431,7 +431,7 @@ def test_a_vote_of_several_views_errs_as_their_median_does(views, sigma):
         noise = np.sqrt(0.5) * (noise + 0.05 * 30 * rng.standard_normal((vehicles, 1, 2)))
     size, many = (30 + noise).reshape(-1, 2), vehicles * views
     place = np.repeat(100.0 * np.arange(vehicles), views)[:, None] * [1.0, 0.0]
-    told = None if sigma is None else np.full((many, 2), sigma)
+    told = np.nan if sigma is None else np.full((many, 2), sigma)
     votes = gather(Sightings(size, np.ones(many), place, np.ones(many), told), True)
     claimed = vote_noise(votes, replace(RULER, noise=(1.5, 1.5)))
     assert np.std(votes.size) == pytest.approx(np.sqrt(np.mean(claimed**2)), rel=0.12)

@@ -112,7 +112,7 @@ def test_sigma_and_kinds_travel_with_the_boxes():
 def test_a_vehicle_is_of_the_kind_that_those_views_say_which_were_looked_at():
     kinds = np.array([[0.2, 0.8, 0, 0], [np.nan] * 4, [0.4, 0.6, 0, 0], [np.nan] * 4])
     place = np.array([[0.0, 0], [0, 0], [0, 0], [100, 0]])
-    votes = gather(Sightings(np.full((4, 2), [45.0, 18.0]), np.ones(4), place, np.ones(4), None, kinds), True)
+    votes = gather(Sightings(np.full((4, 2), [45.0, 18.0]), np.ones(4), place, np.ones(4), kinds=kinds), True)
     assert votes.kinds[0] == pytest.approx([0.3, 0.7, 0, 0]) and np.isnan(votes.kinds[1]).all()
 
 

@@ -18,7 +18,7 @@ from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.ruler import Ruler
-from orthoscale.detect.find import Effort
+from orthoscale.detect.effort import Effort
 from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard
 from orthoscale.detect.remeasure import MOST, WHY_NONE, remeasured
 from orthoscale.errors import InputError, UsageError

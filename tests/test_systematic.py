@@ -37,21 +37,23 @@ def test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_
     """Of the mean of all five the noise counts for a fifth, what each way errs by in full, and the ground for none."""
     place, ground = 10.0 * np.arange(10).reshape(5, 2), {"ground": np.array([0.05, 0.05])}
 
-    def way(size, own, noise):
+    def way(size, own, noise, views, shown, common):
         votes = gather(Sightings(np.full((5, 2), size), np.ones(5), place, np.ones(5)), repeated=False)
-        votes = replace(votes, views=np.full(5, 3))
-        pooled = Pooled(Ruler(), Systematic(np.full(2, own), ground), np.full((5, 2), noise))
+        votes = replace(votes, views=np.full(5, views), shown=np.full(5, shown))
+        pooled = Pooled(Ruler(common_sd=common), Systematic(np.full(2, own), ground), np.full((5, 2), noise))
         return SimpleNamespace(
             votes=votes, size=votes.size, pooled=pooled, scale=SimpleNamespace(used=np.ones(5, bool))
         )
 
-    votes, ruler, covariance = united(way(10.0, 0.01, 0.10), way(12.0, 0.04, 0.06))
+    votes, ruler, covariance = united(way(10.0, 0.01, 0.10, 3, 8, 0.01), way(12.0, 0.04, 0.06, 5, 6, 0.03))
     alone = np.array([0.01**2 + 0.10**2 / 5, 0.04**2 + 0.06**2 / 5])
     share = alone[1] / alone.sum()
     assert votes.size == pytest.approx(np.full((5, 2), 10.0**share * 12.0 ** (1 - share)))
     assert vote_noise(votes, ruler) / votes.size == pytest.approx(np.full((5, 2), share * 0.10 + (1 - share) * 0.06))
     apart = (share * 0.01) ** 2 + ((1 - share) * 0.04) ** 2
     assert covariance == pytest.approx(np.diag([apart, apart]) + 0.05**2)
+    assert (votes.views == 5).all() and (votes.shown == 8).all(), "one way does not see what the other does"
+    assert ruler.common_sd == pytest.approx(share * 0.01 + (1 - share) * 0.03)
 
 
 def test_what_only_the_card_tells_of_heights_is_the_same_in_both_ways():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pyogrio
@@ -11,6 +12,9 @@ import pytest
 from support.flights import FLEET, UNIT, vehicles
 from support.reports import GSD, car_park, fixed
 
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring.vehicles import vehicle_table
+from orthoscale.core.votes import Sightings, gather
 from orthoscale.report.document import read_json
 from orthoscale.report.page import page
 from orthoscale.report.result import Result
@@ -56,3 +60,12 @@ def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight
 
     labels = re.findall(r"<figcaption>(\d+\.\d\d × \d+\.\d\d) m", page(report, ReportPictures.of(report, source)))
     assert labels and set(labels) <= {f"{length:.2f} × {width:.2f}" for length, width in said}
+
+
+def test_how_far_a_vehicle_is_off_is_told_from_the_mean_of_those_that_count():
+    boxes = Boxes(np.array([[50.0 * k, 9.0, side, side / 2, 0.0] for k, side in enumerate((40, 44, 90))]), np.ones(3))
+    votes = gather(Sightings(boxes.xylwa[:, 2:4], np.ones(3), boxes.centre, boxes.score), repeated=False)
+    used = np.array([True, True, False])
+    scale = SimpleNamespace(value=0.1, weights=(0.7, 0.3), used=used, reasons=["", "", "too large for a car"])
+    off = vehicle_table(votes, votes.size, scale, boxes, np.full(3, "a"))["scale_deviation"]
+    assert off[:2].sum() == pytest.approx(0) and off[2] == pytest.approx(-np.log(90 / np.sqrt(40 * 44)))

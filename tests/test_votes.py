@@ -28,6 +28,15 @@ def test_one_picture_means_one_vote_per_box_however_close():
     assert len(votes) == 3 and votes.views.tolist() == [1, 1, 1]
 
 
+def test_what_is_not_known_of_boxes_is_nan_for_each():
+    seen = Sightings(np.ones((3, 2)), np.ones(3), np.zeros((3, 2)), np.ones(3))
+    for told in (seen, gather(seen, repeated=False), gather(seen, repeated=True)):
+        assert told.sigma.shape == (len(told), 2) and told.kinds.shape == (len(told), 4)
+        assert np.isnan(told.sigma).all() and np.isnan(told.kinds).all()
+    with pytest.raises(ValueError, match=r"3 boxes but sigma of shape \(3,\)"):
+        replace(seen, sigma=np.ones(3))
+
+
 def test_an_odd_view_does_not_move_the_vote():
     size = np.array([[4.5, 1.8]] * 4 + [[9.0, 4.0]])
     votes = gather(Sightings(size, np.ones(5), np.zeros((5, 3)), np.ones(5)), repeated=True)

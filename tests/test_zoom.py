@@ -8,7 +8,8 @@ from support.drawings import WithoutNetwork
 import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.effort import Effort
+from orthoscale.detect.find import find_vehicles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.fleets import load_fleet

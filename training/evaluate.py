@@ -41,7 +41,7 @@ import numpy as np
 from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
-from orthoscale.core.normal import ROBUST_SD
+from orthoscale.core.normal import robust_sd
 from orthoscale.detect.detector import CUT
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import AnyDetector, FunctionDetector, look_twice, one_pass, tiles
@@ -182,10 +182,8 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
 
 
 def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `values` (N, ...) over the first axis, and robust standard deviations, by the median absolute
-    deviations from them."""
-    median = np.median(values, axis=0)
-    return median, ROBUST_SD * np.median(np.abs(values - median), axis=0)
+    """Medians of `values` (N, ...) over the first axis, and their robust standard deviations."""
+    return np.median(values, axis=0), robust_sd(values)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:

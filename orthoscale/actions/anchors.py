@@ -19,7 +19,7 @@ from ..core.normal import Z90
 from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
-from ..detect.find import Effort
+from ..detect.effort import Effort
 from ..errors import UsageError, shown
 from ..formats.points import number
 from ..formats.reading import reason
@@ -60,7 +60,7 @@ def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
 @dataclass(frozen=True)
 class Wanted:
     """Which anchors are searched for, and how. choices : of `--anchors`. own : a user's standards by kind, which
-    replace those of the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`.
+    replace those of the finders. country : ISO code, empty if unknown. effort, progress : as in `find_vehicles`.
     footing : the ground of a reconstruction."""
 
     choices: Sequence[str]

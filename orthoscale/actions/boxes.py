@@ -20,9 +20,8 @@ from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.progress import Progress
 from ..core.source import Source
 from ..detect.detector import Detector, Passes
-from ..detect.find import Effort
+from ..detect.effort import Effort
 from ..detect.refine import refined
-from ..detect.workers import worker_count
 from ..detect.zoom import user_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.detections import load as load_detections
@@ -64,9 +63,8 @@ def _looked_for(asked: Opened, request: EstimateRequest, progress: Progress | No
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
-        workers = worker_count(effort.workers)
         ruler = (found.zoom, found.ruler.noise)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
+        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, effort.threads, progress))
     return replace(found, notes=(*found.notes, *network.notes))
 
 

@@ -13,7 +13,7 @@ from ..core.boxes import SAME_VEHICLE, Boxes, matched
 from ..core.calibration import Calibration, MarginFit, fit_margin, local_fleet_entry
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
-from ..core.normal import ROBUST_SD
+from ..core.normal import robust_sd
 from ..core.pooling.robust import pool
 from ..core.progress import Progress
 from ..core.projection.planar import ground_size
@@ -222,9 +222,8 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     noise = []
     for (a, za), (b, zb) in pairwise(zip(looks, zooms, strict=True)):
         ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
-        spread = ROBUST_SD * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
         # Two boxes differ by both their noises, each a share of its own size in pixels.
         size = np.median(a.xylwa[:, 2:4], axis=0)
-        noise.append(spread * size / np.hypot(1 / za, 1 / zb))
+        noise.append(robust_sd(ratio) * size / np.hypot(1 / za, 1 / zb))
     length, width = np.mean(noise, axis=0)
     return float(length), float(width)

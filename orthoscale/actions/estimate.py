@@ -83,7 +83,7 @@ def estimate(
     see `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which
     objects of standard size are looked for, and anchor : your own standards for them, see `actions.anchors`.
 
-    How much of the pictures is processed, and by what (`detect.find.Effort`)
+    How much of the pictures is processed, and by what (`detect.effort.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
 
     `requests.EstimateRequest` has the defaults, and which options exclude each other. Raises InputError, UsageError (no

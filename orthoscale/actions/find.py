@@ -15,7 +15,8 @@ from ..core.progress import Progress
 from ..core.source import GroundView, Picture, PosedSet, Source
 from ..detect.cover import FEW_FRAMES, Cover, covering, places_seen, seen_from_above
 from ..detect.detector import Detector
-from ..detect.find import Effort, find_vehicles, find_zoom
+from ..detect.effort import Effort
+from ..detect.find import find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence

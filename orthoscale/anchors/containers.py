@@ -17,7 +17,7 @@ import numpy as np
 from ..core.anchors import Anchor, Standard
 from ..core.angles import axis_angle
 from ..core.linked import linked_groups
-from ..core.normal import ROBUST_SD
+from ..core.normal import robust_sd
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach
@@ -291,7 +291,7 @@ def _is_one_colour(colours: np.ndarray, x: float, y: float, angle: float, length
     c, s = np.cos(angle), np.sin(angle)
     u, v = np.meshgrid(np.linspace(-0.42, 0.42, 24) * length, np.linspace(-0.32, 0.32, 5) * width)
     seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(-1, 3)
-    return bool((ROBUST_SD * np.median(np.abs(seen - np.median(seen, axis=0)), axis=0)).mean() < ROOF_EVEN)
+    return bool(robust_sd(seen).mean() < ROOF_EVEN)
 
 
 def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:

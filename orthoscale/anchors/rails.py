@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
 from ..core.angles import axis_angle
-from ..core.normal import ROBUST_SD, median_sd
+from ..core.normal import ROBUST_SD, median_sd, robust_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
@@ -115,7 +115,7 @@ class Track:
     @property
     def scatter(self) -> float:
         """One sigma of the blocks' distances, as a share of their median."""
-        return ROBUST_SD * float(np.median(np.abs(self.apart - self.distance))) / self.distance
+        return float(robust_sd(self.apart)) / self.distance
 
     @property
     def distance_sd(self) -> float:

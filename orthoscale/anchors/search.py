@@ -16,11 +16,11 @@ from ..core.anchors import Anchor, AnchorFinder, Standard, alike
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..detect.cache import RASTER_CODE, Kept, content_key, tile_name
+from ..detect.effort import Effort
 from ..detect.filled import filled, one_grey
-from ..detect.find import Effort
 from ..detect.order import visiting_order
 from ..detect.tiles import check_number, read, tiles
-from ..detect.workers import done_on_threads, worker_count
+from ..detect.workers import done_on_threads
 from ..system import budget
 
 WINDOW_SIDE = 1024  # [px that a finder sees] side of a window for small anchors
@@ -73,7 +73,7 @@ def search(
     `progress(done, total)` counts windows; the total is the most there may be.
     """
     effort = effort or Effort()
-    workers = worker_count(effort.workers)
+    workers = effort.threads
     parts = [_KindSearch(one, gsd_sd, country, effort, most_pixels, enough) for one in sought]
     with ExitStack() as open_things:
         for part in parts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 
 import numpy as np
@@ -15,6 +15,19 @@ SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehic
 HEAPED = 250  # mean number of neighbours per box from which the boxes cannot be vehicles; closely packed ones have 30
 PAIRS = 2**15  # pairs of boxes whose overlap is computed at once, in some 50 MB
 KINDS = ("car", "pickup", "van", "larger")  # of vehicles: for passengers, with an open bed, a van or minibus, the rest
+
+
+def unknown() -> np.ndarray:
+    """The `sigma` or `kinds` of boxes of which they are not known: a single NaN, for all of them."""
+    return np.array(np.nan)
+
+
+def of_each(values: np.ndarray, name: str, rows: int, columns: int) -> np.ndarray:
+    """A copy of `values` (rows, columns); all NaN if they are `unknown`. Raises ValueError for another shape."""
+    each = np.full((rows, columns), np.nan) if np.ndim(values) == 0 else np.array(values, np.float64)
+    if each.shape != (rows, columns):
+        raise ValueError(f"{rows} boxes but {name} of shape {each.shape}")
+    return each
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,8 +45,8 @@ class Boxes(Brief):
 
     xylwa: np.ndarray
     score: np.ndarray
-    sigma: np.ndarray | None = None
-    kinds: np.ndarray | None = None
+    sigma: np.ndarray = field(default_factory=unknown)
+    kinds: np.ndarray = field(default_factory=unknown)
 
     def __post_init__(self) -> None:
         xylwa = np.array(self.xylwa, np.float64)
@@ -43,8 +56,7 @@ class Boxes(Brief):
         score = np.array(self.score, np.float64).reshape(-1)
         if len(xylwa) != len(score):
             raise ValueError(f"{len(xylwa)} boxes but {len(score)} scores")
-        sigma = _known(self.sigma, "sigma", len(score), 2)
-        kinds = _known(self.kinds, "kinds", len(score), len(KINDS))
+        sigma, kinds = of_each(self.sigma, "sigma", len(score), 2), of_each(self.kinds, "kinds", len(score), len(KINDS))
         flat = xylwa[:, 2] < xylwa[:, 3]
         sigma[flat] = sigma[flat, ::-1]
         xylwa[flat, 2], xylwa[flat, 3] = xylwa[flat, 3], xylwa[flat, 2].copy()
@@ -102,10 +114,19 @@ class Boxes(Brief):
         return self.xylwa[:, 4]
 
     @property
+    def along(self) -> np.ndarray:
+        """(N, 2) unit vectors along the long sides."""
+        return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
+
+    @property
+    def across(self) -> np.ndarray:
+        """(N, 2) unit vectors along the short sides: `along`, a quarter turn clockwise on screen."""
+        return np.stack([-np.sin(self.angle), np.cos(self.angle)], -1)
+
+    @property
     def corners(self) -> np.ndarray:
         """(N, 4, 2) [px]: front right, rear right, rear left, front left, if the angle's direction is forward."""
-        along = np.stack([np.cos(self.angle), np.sin(self.angle)], -1) * self.length[:, None] / 2
-        across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
+        along, across = self.along * self.length[:, None] / 2, self.across * self.width[:, None] / 2
         c = self.centre
         return np.stack([c + along + across, c - along + across, c - along - across, c + along - across], 1)
 
@@ -128,7 +149,7 @@ class Boxes(Brief):
     def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
         """The first box that is impossible in an image of `width` x `height` px: its index and what is wrong with it;
         None where all are possible. Boxes from files are checked with this."""
-        sigma, kinds = (np.nan_to_num(np.asarray(share), nan=0.0) for share in (self.sigma, self.kinds))
+        sigma, kinds = (np.nan_to_num(share, nan=0.0) for share in (self.sigma, self.kinds))
         with np.errstate(invalid="ignore"):
             faults = {
                 "is not made of numbers": ~np.isfinite(self.xylwa).all(1),
@@ -139,14 +160,6 @@ class Boxes(Brief):
                 "has a kind that is not a probability": ~((kinds >= 0) & (kinds <= 1)).all(1),
             }
         return next(((int(np.argmax(bad)), words) for words, bad in faults.items() if bad.any()), None)
-
-
-def _known(values: np.ndarray | None, name: str, rows: int, columns: int) -> np.ndarray:
-    """`values` as (rows, columns), all NaN if they are None. Raises ValueError for another shape."""
-    known = np.full((rows, columns), np.nan) if values is None else np.array(values, np.float64)
-    if known.shape != (rows, columns):
-        raise ValueError(f"{rows} boxes but {name} of shape {known.shape}")
-    return known
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:

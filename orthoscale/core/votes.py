@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from .boxes import KINDS, of_each, unknown
 from .linked import linked
 
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
@@ -35,10 +36,13 @@ class Sightings:
     pixel: np.ndarray
     place: np.ndarray
     score: np.ndarray
-    sigma: np.ndarray | None = None
-    kinds: np.ndarray | None = None
+    sigma: np.ndarray = field(default_factory=unknown)
+    kinds: np.ndarray = field(default_factory=unknown)
     lasting: np.ndarray | None = None
     picture: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        _fill_in(self)
 
     def __len__(self) -> int:
         return len(self.size)
@@ -71,10 +75,13 @@ class Votes:
     place: np.ndarray
     score: np.ndarray
     members: list[np.ndarray]
-    sigma: np.ndarray | None = None
-    kinds: np.ndarray | None = None
+    sigma: np.ndarray = field(default_factory=unknown)
+    kinds: np.ndarray = field(default_factory=unknown)
     lasting: np.ndarray | None = None
     shown: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        _fill_in(self)
 
     def __len__(self) -> int:
         return len(self.size)
@@ -95,6 +102,12 @@ class Votes:
         else:
             usual = np.full(len(self), np.median(np.repeat(self.views, self.views)) if len(self) else 0.0)
         return (self.views == 1) & (usual >= USUAL_VIEWS)
+
+
+def _fill_in(of: Sightings | Votes) -> None:
+    """Give each its own sigma and kinds where these are `unknown`, as `Boxes` does."""
+    object.__setattr__(of, "sigma", of_each(of.sigma, "sigma", len(of), 2))
+    object.__setattr__(of, "kinds", of_each(of.kinds, "kinds", len(of), len(KINDS)))
 
 
 def gather(seen: Sightings, repeated: bool) -> Votes:
@@ -128,16 +141,15 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
         place=over(seen.place),
         score=over(seen.score, np.max),
         members=members,
-        sigma=None if seen.sigma is None else np.sqrt(over(seen.sigma**2, np.mean)),
-        kinds=None if seen.kinds is None else over(seen.kinds, _mean_of_known),
+        sigma=np.sqrt(over(seen.sigma**2, np.mean)),
+        kinds=over(seen.kinds, _mean_of_known),
         lasting=None if seen.lasting is None else np.sqrt(over(seen.lasting**2, np.average, weight)),
     )
 
 
-def _weights(sigma: np.ndarray | None, lasting: np.ndarray) -> np.ndarray:
+def _weights(sigma: np.ndarray, lasting: np.ndarray) -> np.ndarray:
     """(M, 2) weights of sightings in the median size of their vehicle: their inverse variances."""
-    noise = np.full(lasting.shape, USUAL_NOISE) if sigma is None else sigma
-    return 1 / np.maximum(np.where(np.isfinite(noise), noise, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
+    return 1 / np.maximum(np.where(np.isfinite(sigma), sigma, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
 
 
 def weighted_median(values: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:

@@ -21,12 +21,13 @@ from .cache import TileCache, cache_key
 from .coarse_pass import coarse_pass
 from .cover import Cover
 from .detector import Detector
+from .effort import Effort
 from .filled import filled
 from .order import visiting_order
 from .sweep import Found, Stop, sweep_twice
 from .tie_break import settled
 from .tiles import check_number, tiles
-from .workers import cores, visitor, worker_count
+from .workers import visitor
 from .zoom import search_zoom
 
 if TYPE_CHECKING:
@@ -35,30 +36,6 @@ if TYPE_CHECKING:
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
 WHY_SELDOM = "of a size at which the two passes agree on few, as on mistakes"
 ZOOM_FRAMES = 200  # frames of a model that the scale search gets; but for the lowest factors, it seldom needs more
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much of the pictures to process, and with which resources.
-
-    target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
-    exhaustive : process every tile of every picture.
-    seed : for the order of tiles, and for the order of pictures in the scale search.
-    workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler to use instead.
-    cache : store the detections in tiles, and use stored ones.
-    """
-
-    target: float = 0.005
-    exhaustive: bool = False
-    seed: int = 0
-    workers: int | None = None
-    scheduler: str | None = None
-    cache: bool = True
-
-    @property
-    def threads_each(self) -> int:
-        """Threads that a detector may use for one image, so that all workers together use one per core."""
-        return max(1, cores() // worker_count(self.workers))
 
 
 def find_vehicles(
@@ -133,8 +110,8 @@ class _Sweep:
         promising tend to come sooner."""
         places = [tile for _, tile in jobs]
         evenly = visiting_order(places, np.ones(len(jobs)), self.effort.seed)
-        workers, progress = worker_count(self.effort.workers), _step(self.progress, "Coarse pass")
-        promising = coarse_pass(jobs, evenly, self.detector, workers, progress)
+        progress = _step(self.progress, "Coarse pass")
+        promising = coarse_pass(jobs, evenly, self.detector, self.effort.threads, progress)
         return visiting_order(places, promising, self.effort.seed)
 
     def _swept(
@@ -145,7 +122,7 @@ class _Sweep:
         with ExitStack() as open_things:
             key = cache_key(self.pictures, detector, self.zoom) if effort.cache else None
             cache = open_things.enter_context(TileCache(key)) if key else None
-            visit = open_things.enter_context(visitor(detector, worker_count(effort.workers), effort.scheduler))
+            visit = open_things.enter_context(visitor(detector, effort.threads, effort.scheduler))
             progress = _step(self.progress, "Finding vehicles")
             return sweep_twice(jobs, order, visit, cache, stop, progress, detector.sure, detector.passes)
 
@@ -202,9 +179,8 @@ def find_zoom(
     if cover is not None:
         pictures = [pictures[k] for k in cover.first(ZOOM_FRAMES)]
     step = _step(progress, "Scale search")
-    workers = worker_count(effort.workers)
-    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, workers)
-    choice = settled(choice, pictures, detector, step, effort.seed, workers)
+    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, effort.threads)
+    choice = settled(choice, pictures, detector, effort, step)
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "

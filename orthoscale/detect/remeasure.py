@@ -17,20 +17,19 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
-from ..core.normal import ROBUST_SD
+from ..core.normal import robust_sd
 from ..core.progress import Progress
 from ..core.remarks import amount, signed
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from ..system.threads import Threads
 from .cache import Kept, as_text, content_key
+from .effort import Effort
 from .enlarged import enlargement
-from .find import Effort
 from .measurer import Measured, Measurer, MeasurerCard
 from .shade import DARK, shadow_contrast, shadows
 from .soft import less_sure, softness
 from .windows import windows_about
-from .workers import worker_count
 
 MOST = 400  # boxes that are measured; more would reduce the scale's uncertainty by less than the margin's part of it
 MOST_IN_FRAMES = 1500  # the same in frames: each vehicle has many boxes, in views that show how high boxes reach
@@ -107,7 +106,7 @@ def _measured(
     key = content_key([pictures[name] for name in index], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
-        raw = _looked_at(pictures, proposed, look, worker_count(effort.workers), kept, progress)
+        raw = _looked_at(pictures, proposed, look, effort.threads, kept, progress)
     outlined, soft = _moved_out(raw, measurer.card, float(enlarged))
     told, too_large = _without_shadows(outlined, float(enlarged))
     return _Seen(index, proposed, told, enlarged, soft, too_large)
@@ -247,8 +246,7 @@ def _change(seen: _Seen) -> _Change:
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
     log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])
-    middle = np.median(log_ratio, axis=0)
-    return _Change(middle, ROBUST_SD * np.median(np.abs(log_ratio - middle), axis=0))
+    return _Change(np.median(log_ratio, axis=0), robust_sd(log_ratio))
 
 
 def _corrected(boxes: Boxes, change: _Change) -> Boxes:

@@ -17,6 +17,7 @@ from ..core.boxes import Boxes
 from ..core.detections import ZoomChoice
 from ..core.source import Picture
 from .detector import Detector
+from .effort import Effort
 from .sweep import sweep_twice
 from .workers import visitor
 from .zoom import sample, zoom_for
@@ -33,9 +34,8 @@ def settled(
     choice: ZoomChoice,
     pictures: Sequence[Picture],
     detector: Detector,
+    effort: Effort,
     progress: Callable[[int, int], None] | None = None,
-    seed: int = 0,
-    workers: int = 1,
 ) -> ZoomChoice:
     """`choice`; if it was contested, with the length first at which more vehicles are confirmed."""
     if detector.confirming is None or choice.vehicle_px is None or not choice.rival_px or choice.rival < CONTESTED:
@@ -44,7 +44,7 @@ def settled(
     near = min(OF_THAT_LENGTH, abs(np.log(lengths[0] / lengths[1])) / 2)
     standing = []
     for done, length in enumerate(lengths, 1):
-        standing.append(_standing(length, near, pictures, detector, seed, workers))
+        standing.append(_standing(length, near, pictures, detector, effort))
         if progress:
             progress(done, len(lengths))
     first, second = np.argsort(standing)[::-1]
@@ -58,14 +58,12 @@ def settled(
     )
 
 
-def _standing(
-    length: float, near: float, pictures: Sequence[Picture], detector: Detector, seed: int, workers: int
-) -> float:
+def _standing(length: float, near: float, pictures: Sequence[Picture], detector: Detector, effort: Effort) -> float:
     """Evidence for vehicles of `length` [px of the pictures], give or take `near` [log]: the number of confirmed boxes
     times their share of all."""
-    jobs = [(pictures[k], tile) for k, tile in sample(pictures, zoom_for(length, detector.card), seed)]
+    jobs = [(pictures[k], tile) for k, tile in sample(pictures, zoom_for(length, detector.card), effort.seed)]
     with ExitStack() as open_things:
-        visit = open_things.enter_context(visitor(detector, workers, None))
+        visit = open_things.enter_context(visitor(detector, effort.threads, None))
         found = sweep_twice(jobs, np.arange(len(jobs)), visit, sure=detector.sure, passes=detector.passes)
     boxes, doubtful = (Boxes.concatenate(list(some.values())) for some in (found.boxes, found.doubtful))
     sure, unsure = (int((np.abs(np.log(some.length / length)) < near).sum()) for some in (boxes, doubtful))

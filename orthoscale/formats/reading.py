@@ -12,6 +12,7 @@ import os
 import re
 import stat
 from collections.abc import Container, Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,6 +36,7 @@ DECIMAL_COMMAS = (
     "Write numbers with a point (12.5). Decimal commas (12,5) are read if ; or tabs separate the columns and no number "
     "in the table has a point."
 )
+INSTALL_AGAIN = "A file of orthoscale itself is damaged: install it again."
 EXPORT_ANEW = "The file is damaged or was cut off: copy it or export it again."
 
 T = TypeVar("T")
@@ -57,7 +59,7 @@ WORDS = {
 }
 
 
-def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
+def read_bytes(path: Path, hint: str, most: int = SMALL) -> bytes:
     """The content of the regular file `path`, which has `most` bytes or fewer. Raises InputError."""
     check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
     try:
@@ -77,7 +79,7 @@ def absent(path: Path, hint: str) -> InputError:
     return InputError(f"{path} does not exist", NOT_FETCHED if _NO_FILE.match(str(path)) else hint)
 
 
-def check_regular(path: Path, hint: str = "") -> None:
+def check_regular(path: Path, hint: str) -> None:
     """Raise InputError if `path` is no regular file: a folder, a pipe, a device, or nothing."""
     try:
         mode = os.stat(path).st_mode
@@ -123,7 +125,7 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
+def read_text(path: Path, hint: str, most: int = LARGE) -> str:
     """The UTF-8 text in `path`, with or without a byte order mark. Raises InputError."""
     content = read_bytes(path, hint, most)
     try:
@@ -164,7 +166,7 @@ class Table(csv.DictReader):
             raise InputError(said, DECIMAL_COMMAS if comma else hint) from None
 
 
-def read_table(path: Path, hint: str = "") -> Table:
+def read_table(path: Path, hint: str) -> Table:
     """The lines of a CSV file by column name, in lower case, from its first line that is not blank. The separator is
     whichever of comma, semicolon and tab that line has most of. If it is not the comma, numbers may have decimal
     commas; with semicolons a comma is never taken for a thousands separator. Raises InputError."""
@@ -186,24 +188,30 @@ def read_table(path: Path, hint: str = "") -> Table:
     return table
 
 
-def refuse_repeated(path: Path, table: Table, wanted: Iterable[str], hint: str = "") -> None:
+def refuse_repeated(path: Path, table: Table, wanted: Iterable[str], hint: str) -> None:
     """Raise InputError if `table`, which `read_table` read from `path`, has several columns of a `wanted` name."""
     for name in wanted:
         if list(table.fieldnames or ()).count(name) > 1:
             raise InputError(f"{path}: has several columns {shown(name)}", hint)
 
 
-def read_plain(path: Path, what: str, hint: str = "", most: int = SMALL) -> Any:
+def read_plain(path: Path, what: str, hint: str, most: int = SMALL) -> Any:
     """The JSON in `path` as plain values; `what` it should be, for the message ("a fleet"). Raises InputError."""
     return parsed(read_bytes(path, hint, most), str(path), what, hint)
 
 
-def read(path: Path, schema: type[T], what: str, hint: str = "", most: int = SMALL) -> T:
+@cache
+def shipped(name: str) -> Any:
+    """The table ``data/NAME.json`` of the program as plain values, read once. Raises InputError."""
+    return read_plain(Path(__file__).parents[1] / "data" / f"{name}.json", f"the table of {name}", INSTALL_AGAIN)
+
+
+def read(path: Path, schema: type[T], what: str, hint: str, most: int = SMALL) -> T:
     """The JSON in `path` as a `schema`, a type that msgspec understands. Raises InputError."""
     return checked(read_plain(path, what, hint, most), schema, str(path), what, hint)
 
 
-def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
+def parsed(content: bytes | str, origin: str, what: str, hint: str) -> Any:
     """JSON as plain values. `origin` names its source, for the message. Raises InputError."""
     import msgspec
 
@@ -226,7 +234,7 @@ def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
     raise InputError(f"{origin}: not {what} ({problem})", hint)
 
 
-def checked(values: Any, schema: type[T], origin: str, what: str, hint: str = "") -> T:
+def checked(values: Any, schema: type[T], origin: str, what: str, hint: str) -> T:
     """Plain values as a `schema`. Raises InputError, which names the first place that does not fit."""
     import msgspec
 

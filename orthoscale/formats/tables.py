@@ -6,19 +6,17 @@ The figures and their sources are in ``data/stalls.json`` and ``data/objects.jso
 from __future__ import annotations
 
 from collections.abc import Collection
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 from ..core.anchors import BAYS
 from ..core.measuring.objects import in_words
 from ..core.measuring.surroundings import Standards
-from .reading import read_plain
+from .reading import shipped
 
 
 def standards(kinds: Collection[str] | None = None) -> Standards:
     """Both tables, restricted to these `kinds` of anchors unless that is None."""
-    stalls, objects = _table("stalls"), _table("objects")
+    stalls, objects = shipped("stalls")["stalls"], shipped("objects")["objects"]
     if kinds is None:
         return Standards(stalls, objects)
     return Standards(stalls if BAYS in kinds else {}, {k: v for k, v in objects.items() if in_words(k) in kinds})
@@ -27,8 +25,3 @@ def standards(kinds: Collection[str] | None = None) -> Standards:
 def known_objects() -> dict[str, list[dict[str, Any]]]:
     """Standards by class: name, length, width (value and one sigma) [m], flat, source."""
     return standards().objects
-
-
-@cache
-def _table(name: str) -> dict[str, Any]:
-    return read_plain(Path(__file__).parents[1] / "data" / f"{name}.json", f"the table of {name}")[name]

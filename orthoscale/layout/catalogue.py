@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 
 from ..core.fleet import WORLD
 from ..errors import InputError, UsageError, shown
-from ..formats.reading import checked, read_plain, reason
+from ..formats.reading import checked, read_plain, reason, shipped
 from ..formats.tables import standards
 
 CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
@@ -129,7 +128,7 @@ def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
 def load(path: Path | None = None) -> dict[str, Facility]:
     """The built-in facilities by code in lower case, and those of the file at `path` (same format), which replace
     built-in ones. Raises InputError."""
-    built_in = _table()["facilities"]
+    built_in = shipped("facilities")["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
     from ..formats.schemas.standards import Catalogue
@@ -159,7 +158,7 @@ def parking(code: str, bays: int) -> Facility:
             f"no parking bays are known for {country or code!r}",
             f"Give parking-COUNTRY:BAYS, with one of {', '.join(stalls)}.",
         )
-    stall, aisles = stalls[country], _table()["parking"]
+    stall, aisles = stalls[country], shipped("facilities")["parking"]
     aisle = aisles.get(country, aisles[WORLD])
     per_row = math.ceil(bays / 2)
     length, width = per_row * stall["width"], 2 * stall["length"] + aisle["aisle"]
@@ -183,12 +182,6 @@ def parking(code: str, bays: int) -> Facility:
         source=f"bay: {stall['source']}; aisle: {aisle['source']}",
         open_ends=True,
     )
-
-
-@cache
-def _table() -> dict[str, Any]:
-    path = Path(__file__).parent.parent / "data" / "facilities.json"
-    return read_plain(path, "the table of facilities")
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:

@@ -155,7 +155,7 @@ def _interval(
 
     unknown = f"the uncertainty of the scale is not known: no {report.name} states it (or give --scale-error PERCENT)"
     try:
-        told = read(report, ReportOfPictures, "a report of orthoscale", most=LARGE)
+        told = read(report, ReportOfPictures, "a report of orthoscale", "Write it again with `fix`.", LARGE)
     except InputError:  # there is none, or it is another program's file
         return None, (unknown,)
     low, high = (v / told.scale for v in told.interval90)

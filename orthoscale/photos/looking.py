@@ -29,10 +29,14 @@ WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why options
 class Looking(PhotoRequest):
     """How to look for vehicles in photos, and what to compare them with."""
 
+    @cached_property
+    def ruler(self) -> Calibration | None:
+        """The detector's own ruler, if there is a `calibration`; read once. Raises InputError."""
+        return None if self.calibration is None else load_calibration(Path(self.calibration))
+
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
         """The fleet by which `photos` are measured, and notes on it; see `sources.country`."""
-        known = None if self.calibration is None else load_calibration(Path(self.calibration))
-        fleet = named_fleet(self.fleet, known)
+        fleet = named_fleet(self.fleet, self.ruler)
         return fleet_at(location_in(photos)) if fleet is None else (fleet, ())
 
 
@@ -75,7 +79,6 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
     the boxes are in their `notes`.
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
-    calibration = None if how.calibration is None else load_calibration(Path(how.calibration))
     if how.detections is not None:
         from ..formats.detections import load
 
@@ -83,17 +86,16 @@ def boxes_of(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Prog
         found = load(Path(how.detections), album, how.vehicle_classes)
         found = replace(found, notes=(*found.notes, *(note.text for note in album.notes)))
     else:
-        found = _detected(photos, how, fleet, calibration, progress)
-    if calibration is not None:
-        found = calibration.applied(found)
+        found = _detected(photos, how, fleet, progress)
+    if how.ruler is not None:
+        found = how.ruler.applied(found)
     return replace(found, notes=(*found.notes, *found.assumed))
 
 
-def _detected(
-    photos: Sequence[Photo], how: Looking, fleet: Fleet, calibration: Calibration | None, progress: Progress | None
-) -> Detections:
+def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Progress | None) -> Detections:
     from ..detect.detector import Detector, Passes
-    from ..detect.find import Effort, find_vehicles
+    from ..detect.effort import Effort
+    from ..detect.find import find_vehicles
     from ..detect.measurer import Measurer
     from ..detect.remeasure import MOST_IN_FRAMES, remeasured
 
@@ -101,8 +103,8 @@ def _detected(
     path = None if how.detector is None else Path(how.detector)
     passes = Passes.TWICE_CONFIRMED if path is None else Passes.FINE_FIRST
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each, passes)
-    if calibration is not None:
-        calibration.require_of(detector.name, detector.sha256)
+    if how.ruler is not None:
+        how.ruler.require_of(detector.name, detector.sha256)
     zoom = user_zoom(how.zoom, how.gsd_hint, detector.card, float(fleet.mean[0]))
     try:
         found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)
@@ -110,7 +112,7 @@ def _detected(
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
     found = replace(found, notes=(*found.notes, *detector.notes))
-    if path is not None or calibration is not None:
+    if path is not None or how.ruler is not None:
         return found
     return remeasured([photo.picture for photo in photos], found, Measurer(), effort, progress, MOST_IN_FRAMES)
 

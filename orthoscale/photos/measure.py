@@ -313,7 +313,8 @@ class PhotoGeometry:
     def observe(self, metres_per_unit: float) -> Observation:
         """See `Geometry.observe`. For the uncertainty of attitude, lens and effective height, the boxes are measured
         again with each a little off."""
-        ruler, seen = card_of(self.found), SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
+        ruler = card_of(self.found).body_alone
+        seen = SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
         size, by_body, _ = ruler.size_and_sd(seen)
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)

@@ -111,10 +111,11 @@ def projection_file(picture: Path) -> Path | None:
 
 def read_projection(path: Path) -> CRS:
     """The coordinate reference system in a ``.prj``, WKT of ESRI or OGC; within `guarded`. Raises InputError."""
+    hint = "Export it again."
     try:
-        return CRS.from_wkt(read_bytes(path).decode("utf-8-sig", "replace"), morph_from_esri_dialect=True)
+        return CRS.from_wkt(read_bytes(path, hint).decode("utf-8-sig", "replace"), morph_from_esri_dialect=True)
     except CRSError as error:
-        raise InputError(f"{path}: no coordinate reference system in WKT", "Export it again.") from error
+        raise InputError(f"{path}: no coordinate reference system in WKT", hint) from error
 
 
 @contextmanager

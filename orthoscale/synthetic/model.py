@@ -134,7 +134,7 @@ def write_colmap(
     return truth
 
 
-def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Look | None = None) -> dict:
+def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0) -> dict:
     """Write the scene's true orthophoto without georeferencing (PNG or JPEG by its ending) and its truth.
 
     The truth goes to ``<stem>.truth.json`` beside it and is returned. Raises UsageError for another ending, before
@@ -144,7 +144,7 @@ def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Loo
     write = _writer(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     view = ortho_view(scene, gsd_m)
-    image, owner = render(scene, view, seed, look)
+    image, owner = render(scene, view, seed)
     write(path, image)
     boxes = _boxes_truth(vehicle_boxes(scene.vehicles, view), visible_share(scene.vehicles, view, owner))
     size = {"gsd_m": gsd_m, "width": view.width, "height": view.height}

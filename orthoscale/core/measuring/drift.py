@@ -94,12 +94,7 @@ class Drift(Trend):
 
     @property
     def warnings(self) -> list[str]:
-        """The remark as a list, empty without a drift."""
-        return [self.remark] if self.drifts else []
-
-    @property
-    def remark(self) -> str:
-        """A warning in words, empty without a drift."""
+        """What speaks against a single scale, in words; empty without a drift."""
         found = []
         if self.tilts:
             octant = round(self.direction / (np.pi / 4)) % 8
@@ -107,10 +102,8 @@ class Drift(Trend):
             found.append(f"grows by {100 * self.tilt:.1f} % towards the {names[octant]} (p = {self.p_tilt:.1g})")
         if self.bends:
             found.append(f"is bent by {100 * self.bend:.1f} % (p = {self.p_bend:.1g})")
-        if not found:
-            return ""
         why = "the orthophoto may be tilted or bent, or its vehicles differ from place to place"
-        return f"the scale {' and '.join(found)}: {why}"
+        return [f"the scale {' and '.join(found)}: {why}"] if found else []
 
 
 def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale:

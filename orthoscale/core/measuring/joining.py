@@ -134,7 +134,7 @@ def _weights(a: Measurement, b: Measurement, both: Matched, share: np.ndarray) -
 
 def _kinds(of: Measurement) -> np.ndarray:
     """(N, 4) kind probabilities of the votes of a measurement, NaN where they are not used."""
-    if of.votes.kinds is None or not of.pooled.ruler.kinds:
+    if not of.pooled.ruler.kinds:
         return np.full((len(of.votes), len(KINDS)), np.nan)
     return of.votes.kinds.copy()
 

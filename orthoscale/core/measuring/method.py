@@ -59,8 +59,8 @@ class Method:
         fleet: Fleet,
         ruler: Ruler,
         unit: str,
-        geometry: np.ndarray | None = None,
-        more: Sequence[AnchorVote] = (),
+        geometry: np.ndarray,
+        more: Sequence[AnchorVote],
     ) -> Scale:
         """The scale. geometry : (2, 2) relative covariance of lengths and widths, of errors common to all sizes.
         more : anchors that the boxes themselves show."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..normal import ROBUST_SD, of_median
+from ..normal import of_median, robust_sd
 from ..scale import Scale
 from ..votes import Votes
 from .drift import Trend
@@ -119,7 +119,7 @@ def by_frame(
     known = np.isfinite(stray)
     if not known.any():
         return {}, []
-    spread = ROBUST_SD * float(np.median(np.abs(stray[known] - np.median(stray[known]))))
+    spread = float(robust_sd(stray[known]))
     frames, odd = {}, []
     for name in np.unique(picture[known]):
         mine = stray[known & (picture == name)]

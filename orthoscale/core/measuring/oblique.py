@@ -99,7 +99,7 @@ class FramesGeometry:
         shown = shown_in_frames(source, found, boxes, place)
         footing = standing_in_model(source, np.array(names), place, sides, shown)
         view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)
-        card = card_of(found, found.ruler.margin, found.ruler.margin_sd)
+        card = card_of(found)
         seen = (source, found, fleet, boxes, np.array(names), view, lost, footing, card, card)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
@@ -242,13 +242,10 @@ def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np
     return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
 
-def card_of(
-    found: Detections, margin: tuple[float, float] = (0.0, 0.0), margin_sd: tuple[float, float] = (0.0, 0.0)
-) -> OwnRuler:
-    """The ruler of the card of the network that measured the boxes `found`. margin, margin_sd : [detector px]; by
-    default 0, which leaves the margin in the boxes."""
-    height_sd = (HEIGHT_SD, HEIGHT_SD)
-    return OwnRuler.shipped(found.effective_height, margin, height_sd, margin_sd, BODIES[found.body], found.undercut)
+def card_of(found: Detections) -> OwnRuler:
+    """The ruler of the card of the network that measured the boxes `found`."""
+    known, height_sd, body = found.ruler, (HEIGHT_SD, HEIGHT_SD), BODIES[found.body]
+    return OwnRuler.shipped(found.effective_height, known.margin, height_sd, known.margin_sd, body, found.undercut)
 
 
 def of_each_view(ground: np.ndarray, leaning: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ..normal import ROBUST_SD
+from ..normal import robust_sd
 from ..source import PosedSet
 from ..votes import FOUND_IN, SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing
@@ -255,8 +255,7 @@ def _combined(
     probabilities."""
     boxes = _Spots(place, sd)
     stray = np.abs(seen.lower - np.median(seen.lower))
-    spread = ROBUST_SD * float(np.median(stray))
-    keep = stray < STRAY_VEHICLE * np.sqrt(spread**2 + seen.variance + (UNEVEN * height) ** 2)
+    keep = stray < STRAY_VEHICLE * np.sqrt(robust_sd(seen.lower) ** 2 + seen.variance + (UNEVEN * height) ** 2)
     if keep.sum() < FEWEST_STANDING:
         return _of_sheet(sd / above)
     at = _Spots(seen.place, sd[cKDTree(place).query(seen.place)[1]])[keep]

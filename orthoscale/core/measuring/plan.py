@@ -98,9 +98,8 @@ class PlanGeometry:
         """Rows of parked vehicles, and objects of standard size; nothing where pixels are not square."""
         if self.aspect != 1:
             return []
-        along = np.stack([np.cos(self.boxes.angle), np.sin(self.boxes.angle)], -1)
         return [
-            *rows_in_plan(vehicles, along, standards, country),
+            *rows_in_plan(vehicles, self.boxes.along, standards, country),
             *objects_in_plan(self.objects, self.zoom, standards),
         ]
 

@@ -52,9 +52,9 @@ class SweepGeometry:
 
     flat : (M, 2) sides of the boxes on the ground [model units]. offset : (M, 2) from the point below the camera to the
     box, along its long and its short side, in camera heights. camera : (M, 1) that height over the ground [model
-    units]. along : (M, 3) unit vectors along the long sides, in world coordinates. focal_sd : relative one-sigma of the
-    focal length. footing : the ground under the boxes, for them and for everything else that is measured on it.
-    card : the ruler of the network's card. ruler : the one measured by. Both without the margin.
+    units]. along : (M, 3) unit vectors along the long sides, in world coordinates. footing : the ground under the
+    boxes, for them and for everything else that is measured on it. card : the ruler of the network's card. ruler : the
+    one measured by. Both without the margin.
     """
 
     source: PosedSet
@@ -66,7 +66,6 @@ class SweepGeometry:
     flat: np.ndarray
     offset: np.ndarray
     camera: np.ndarray
-    focal_sd: float
     footing: Footing
     card: OwnRuler
     ruler: OwnRuler
@@ -104,7 +103,7 @@ class SweepGeometry:
         shown = _shown(source, found, above.boxes, above.place)
         footing = standing_in_model(source, images, above.place, np.median(flat, axis=0), shown)
         farther = (1 + footing.lower)[:, None]
-        card = card_of(found)
+        card = card_of(found).body_alone
         return cls(
             source=source,
             found=found,
@@ -115,7 +114,6 @@ class SweepGeometry:
             flat=flat * farther,
             offset=above.offset / source.focal.ratio,
             camera=above.camera * farther * source.focal.ratio,
-            focal_sd=source.focal.sd,
             footing=footing,
             card=card,
             ruler=fitted.body_alone if fitted is not None else card,
@@ -143,8 +141,8 @@ class SweepGeometry:
         if not np.isfinite(size).all(1).any():
             return Observation(size, self.found.ruler)
         by_focal = {}
-        if self.focal_sd:
-            longer = self.ruler.size(self._seen(metres_per_unit, 1 + self.focal_sd))
+        if self.source.focal.sd:
+            longer = self.ruler.size(self._seen(metres_per_unit, 1 + self.source.focal.sd))
             by_focal["focal length"] = larger_by(longer, size)
         left_of_card = self.ruler.left_of_height(self.card, size, slopes)
         systematic = of_height(by_body, left_of_card).and_shared({**self.footing.alike, **by_focal})
@@ -194,9 +192,10 @@ class _Above(NamedTuple):
     def of(cls, picture: GroundView, boxes: Boxes, offset: np.ndarray) -> _Above:
         """Those of one `picture`; their offsets from below the camera in its own axes."""
         place = picture.ground(boxes.centre)
-        along = picture.ground(boxes.centre + _heading(boxes)) - place
+        along = picture.ground(boxes.centre + boxes.along) - place
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
-        return cls(boxes, place, along, _along(boxes, offset), np.full((len(boxes), 1), picture.camera_height))
+        own = np.stack([(offset * boxes.along).sum(1), (offset * boxes.across).sum(1)], -1)
+        return cls(boxes, place, along, own, np.full((len(boxes), 1), picture.camera_height))
 
     @classmethod
     def all_of(cls, parts: Sequence[_Above]) -> _Above:
@@ -210,18 +209,6 @@ def _shown(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray)
     pictures = {picture.name: picture for picture in source.ground_pictures}
     images = [pictures[name].image for name in looked_at(found) if name in pictures]
     return frames_in_view(source, images, place, float(np.median(boxes.length)) / 2, NEAR_NADIR)
-
-
-def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
-    """(N, 2) the vectors `offset` (N, 2), given in picture axes, in the axes of the boxes' long and short sides."""
-    heading = _heading(boxes)
-    across = np.stack([-heading[:, 1], heading[:, 0]], -1)
-    return np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1)
-
-
-def _heading(boxes: Boxes) -> np.ndarray:
-    """(N, 2) unit vectors along the boxes' long sides, in their picture's axes."""
-    return np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
 
 
 def _whole(picture: GroundView, boxes: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -203,8 +203,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
     one, other = np.repeat(np.arange(len(boxes)), count), near.ravel()
     one, other = one[one != other], other[one != other]
     offset = boxes.centre[one] - boxes.centre[other]
-    along, across = np.cos(boxes.angle[other]), np.sin(boxes.angle[other])
-    u, v = offset[:, 0] * along + offset[:, 1] * across, offset[:, 1] * along - offset[:, 0] * across
+    u, v = ((offset * axis[other]).sum(1) for axis in (boxes.along, boxes.across))
     hit = (np.abs(u) < boxes.length[other] / 2) & (np.abs(v) < boxes.width[other] / 2)
     inside[one[hit]] = inside[other[hit]] = True
     return inside

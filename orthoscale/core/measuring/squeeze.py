@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boxes import Boxes
-from ..normal import ROBUST_SD
+from ..normal import robust_sd
 from ..projection.planar import ground_size
 
 SQUEEZE = "squeeze"  # name of this part of a scale's uncertainty
@@ -67,7 +67,7 @@ def squeeze(boxes: Boxes, aspect: float = 1.0) -> Squeeze | None:
             return None
         step = float(weight @ (off * each)) / spread
         rest = each - step * off
-        sd = max(ROBUST_SD * float(np.median(np.abs(rest - np.median(rest)))), SHAPE_RIDGE)
+        sd = max(float(robust_sd(rest)), SHAPE_RIDGE)
         usual = np.clip(1 - (rest / (ODD_SHAPE_SIGMAS * sd)) ** 2, 0, None)
         weight = usual**2
         found += step

@@ -13,6 +13,7 @@ from ..boxes import Boxes
 from ..pooling.anchors import evidence_of
 from ..pooling.posterior import Posterior
 from ..projection.exact import BODIES, FLAT, ground_axes, ground_size
+from ..projection.own_ruler import SeenBoxes
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Sightings, Votes, gather
@@ -78,7 +79,7 @@ def rows_in_model(
 
 def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
     """(N, 3) unit vectors along the long sides of boxes (N,) in the frames `names` (N,), in world coordinates."""
-    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
+    along, _ = ground_axes(boxes, views)
     out = np.empty_like(along)
     for name in np.unique(names):
         here = names == name
@@ -109,9 +110,8 @@ def objects_in_model(
             continue
         boxes, view, place = seen
         tall = max(s["height"][0] if "height" in s else FLAT for s in standards)
-        by_height = [
-            _objects(kind, standards, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)
-        ]
+        in_frames = SeenBoxes(boxes, view, zoom, metres_per_unit)
+        by_height = [_objects(kind, standards, in_frames, place, height) for height in (tall / 2, tall, FLAT)]
         middle, whole, none = by_height
         unsure = 0.0
         if tall > FLAT and all(by_height):
@@ -152,21 +152,15 @@ def _on_ground(vote: AnchorVote, footing: Footing, unsure: float = 0.0) -> Ancho
 
 
 def _objects(
-    kind: str,
-    standards: Sequence[Mapping[str, Any]],
-    boxes: Boxes,
-    views: Views,
-    place: np.ndarray,
-    zoom: float,
-    metres_per_unit: float,
-    height: float,
+    kind: str, standards: Sequence[Mapping[str, Any]], seen: SeenBoxes, place: np.ndarray, height: float
 ) -> list[AnchorVote]:
+    """The objects of class `kind` at `place` (N, 3) if all are as high as `height` [m]."""
     solid = replace(BODIES["cuboid"], height=height)
-    size = ground_size(boxes, views, metres_per_unit, solid)
+    size = ground_size(seen.boxes, seen.views, seen.metres_per_unit, solid)
     solved = np.isfinite(size).all(1)
     size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
-    pixel = views.unit_per_pixel[solved] / zoom
-    votes = gather(Sightings(size, pixel, place[solved], boxes.score[solved]), repeated=True)
+    pixel = seen.views.unit_per_pixel[solved] / seen.zoom
+    votes = gather(Sightings(size, pixel, place[solved], seen.boxes.score[solved]), repeated=True)
     return standard_objects(kind, standards, votes.size, votes.pixel, votes.place)
 
 

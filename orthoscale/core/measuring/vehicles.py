@@ -59,8 +59,7 @@ def vehicle_table(votes: Votes, size: np.ndarray, scale: Scale, boxes: Boxes, pi
 
 
 def _kind(votes: Votes) -> list[str]:
-    kinds = np.full((len(votes), len(KINDS)), np.nan) if votes.kinds is None else votes.kinds
-    return [KINDS[int(np.argmax(one))] if np.isfinite(one).all() else "" for one in kinds]
+    return [KINDS[int(np.argmax(one))] if np.isfinite(one).all() else "" for one in votes.kinds]
 
 
 def _deviation(size: np.ndarray, scale: Scale) -> np.ndarray:

@@ -46,12 +46,10 @@ def measure_source(
         uncounted, searched = sum(doubts(found).values()), found.zoom_choice is not None
         scale = plausible(measured.scale, measured.boxes, uncounted, source.claimed.aspect, searched)
         return _of_one_scale(replace(measured, scale=scale))
-    return measure_posed(source, found, fleet, method, mode)
+    return measure_posed(source, found, fleet, method or Method(), mode)
 
 
-def measure_posed(
-    source: PosedSet, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
-) -> Measurement:
+def measure_posed(source: PosedSet, found: Detections, fleet: Fleet, method: Method, mode: str | None) -> Measurement:
     """The scale of a reconstruction by the vehicles `found`, in each mode that `mode` allows and that has enough of
     them.
 
@@ -62,7 +60,6 @@ def measure_posed(
 
     Raises TooLittleEvidence, UsageError.
     """
-    method = method or Method()
     whole = _in_modes(source, found, fleet, method, mode)
     if not source.parts:
         return whole
@@ -114,7 +111,7 @@ def _in_modes(source: PosedSet, found: Detections, fleet: Fleet, method: Method,
 def _fitted(oblique: Measurement | None, planar: Detections) -> OwnRuler | None:
     """The ruler fitted to the views of `oblique`, for the boxes `planar` of a network with the same card; else None."""
     calibration = oblique.findings.calibration if oblique is not None else None
-    if calibration is None or not np.array_equal(calibration.card.body_alone.value, card_of(planar).value):
+    if calibration is None or not np.array_equal(calibration.card.body_alone.value, card_of(planar).body_alone.value):
         return None
     return calibration.ruler
 

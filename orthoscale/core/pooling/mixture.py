@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .observed import FAITHFUL, Confusion, Seen, Shrinkage
+from .observed import Seen
 from .problem import OF_SHRINKAGE, SCALES, UNKNOWNS, Hypotheses, Mix, Problem, levels, members
 from .solver import believed_share, solve
 
@@ -65,21 +65,18 @@ class Fits:
     member: np.ndarray
 
 
-def fit(
-    seen: Seen, mixes: Sequence[Mix], shrinkage: Shrinkage = FAITHFUL, confusion: Confusion | None = None
-) -> list[Fits | None]:
+def fit(seen: Seen, mixes: Sequence[Mix]) -> list[Fits | None]:
     """For each of `mixes`, its fits to the vehicles that are `seen`; None where no vote supports any class.
 
     Lengths and widths have a scale each, because fleet, margin and geometry may be off. `Mix.systematic` limits how far
     the two may differ, which holds the vehicles to the shape of their class. The grid is over their sum, weighted by
     `Mix.weights`; `solver` fits the mix at each of its scales.
-    `shrinkage` is the detector's. `confusion` is how it confuses kinds; needed where kinds are seen.
     """
     out: list[Fits | None] = [None] * len(mixes)
     # Mixes of equally many classes are solved together: one by one, the overhead of numpy's calls would dominate.
     for number in {len(mix.classes) for mix in mixes}:
         alike = [k for k, mix in enumerate(mixes) if len(mix.classes) == number]
-        problems = [Problem.of(seen, mixes[k], shrinkage, confusion) for k in alike]
+        problems = [Problem.of(seen, mixes[k]) for k in alike]
         for k, problem, solved in zip(alike, problems, _possible(problems), strict=True):
             with suppress(np.linalg.LinAlgError):
                 out[k] = _fits(problem, solved)

@@ -13,7 +13,7 @@ those on the detector's card (`Confusion`): a hundred vehicles do not settle wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,18 +78,21 @@ class Confusion:
 
 @dataclass(frozen=True)
 class Seen:
-    """What is seen of N vehicles.
+    """What is seen of N vehicles, and how the detector distorts it.
 
     log_size : (N, 2) logarithms of length and width [any unit]. noise : (N, 2) one-sigma noise of the sizes [the unit].
     called : (N, 4) probability of each of `boxes.KINDS`, zeros where it was not assessed; (N, 0) if it never was.
+    shrinkage : of the sizes. confusion : of the kinds; needed where these were assessed.
     """
 
     log_size: np.ndarray
     noise: np.ndarray
     called: np.ndarray
+    shrinkage: Shrinkage = FAITHFUL
+    confusion: Confusion | None = None
 
     def __len__(self) -> int:
         return len(self.log_size)
 
     def __getitem__(self, some: np.ndarray) -> Seen:
-        return Seen(self.log_size[some], self.noise[some], self.called[some])
+        return replace(self, log_size=self.log_size[some], noise=self.noise[some], called=self.called[some])

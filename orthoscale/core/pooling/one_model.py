@@ -18,7 +18,7 @@ from ..fleet import Fleet
 from ..market_segments import Class, PlaceKind
 from .beside_fleet import LARGER, left_out
 from .mixture import fit
-from .observed import Confusion, Seen, Shrinkage
+from .observed import Seen
 from .posterior import Posterior
 from .problem import Mix, believed, combine
 
@@ -47,20 +47,14 @@ class OneModel:
         return float(expit(logit(PLACES_OF_ONE) + self.log_evidence - log_evidence))
 
 
-def of_one_model(
-    seen: Seen,
-    fleet: Fleet,
-    known: Mapping[str, np.ndarray],
-    shrinkage: Shrinkage,
-    confusion: Confusion | None,
-) -> OneModel | None:
+def of_one_model(seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray]) -> OneModel | None:
     """The scale by the vehicles `seen` if they are of one model of `fleet`; None if they cannot be.
 
     Any class of the fleet, or of its candidates, may have the model, with the class's share as probability. known : by
     part of the uncertainty, the (2, 2) covariances of the errors common to all vehicles.
     """
     kinds = np.eye(len(KINDS)) if seen.called.size else np.ones((1, len(KINDS))) / len(KINDS)
-    every = _sizes(seen, fleet, kinds, shrinkage, confusion)
+    every = _sizes(seen, fleet, kinds)
     log_weight, mean, variance = [], [], []
     for one, probability in zip(fleet.candidates or (fleet,), fleet.prior or (1.0,), strict=True):
         country, larger = one.class_mean_covariance(one.classes), left_out(one.classes)
@@ -70,9 +64,9 @@ def of_one_model(
             for share, sizes in zip(of_kind, every, strict=True):
                 if share == 0 or sizes is None:
                     continue
-                covariance = shrinkage.covariance(part.log_covariance + country) + sizes.covariance
+                covariance = seen.shrinkage.covariance(part.log_covariance + country) + sizes.covariance
                 covariance = believed(sum(known.values(), covariance))
-                gap = shrinkage.log_mean(part) - sizes.log_size
+                gap = seen.shrinkage.log_mean(part) - sizes.log_size
                 weights = combine(covariance)
                 log_weight.append(
                     np.log(probability * own * part.weight * share)
@@ -98,22 +92,20 @@ class _Sizes:
     log_evidence: float
 
 
-def _sizes(
-    seen: Seen, fleet: Fleet, kinds: np.ndarray, shrinkage: Shrinkage, confusion: Confusion | None
-) -> list[_Sizes | None]:
+def _sizes(seen: Seen, fleet: Fleet, kinds: np.ndarray) -> list[_Sizes | None]:
     """The sizes of the one model for each of `kinds` (K, 4) that it may be of, as in `Class.kinds`; None where it
     cannot be."""
     systematic = ANY_SIZE**2 * np.eye(2)
     model = Class("one model", 1.0, fleet.mean, WITHIN_MODEL * fleet.mean, LENGTH_WITH_WIDTH, np.zeros(3))
     mixes = [Mix((replace(model, kinds=kind),), systematic, combine(systematic), ALL_PLACES) for kind in kinds]
     out: list[_Sizes | None] = []
-    for fits in fit(seen, mixes, shrinkage, confusion):
+    for fits in fit(seen, mixes):
         if fits is None:
             out.append(None)
             continue
         log_scale = fits.weight @ fits.log_scale
         beforehand = _log_normal(LENGTH_LESS_WIDTH @ log_scale, LENGTH_LESS_WIDTH @ systematic @ LENGTH_LESS_WIDTH)
-        out.append(_Sizes(shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand))
+        out.append(_Sizes(seen.shrinkage.log_mean(model) - log_scale, fits.covariance, fits.log_evidence - beforehand))
     return out
 
 

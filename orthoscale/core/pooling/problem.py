@@ -25,7 +25,7 @@ from .beside_fleet import (
     left_out,
     partly_hidden,
 )
-from .observed import Confusion, Seen, Shrinkage
+from .observed import Seen
 
 IMPOSSIBLE = 9.0  # how far below the best log probability a scale is not tried again
 UNKNOWNS = 5  # in this order: those of `Problem`
@@ -101,9 +101,10 @@ class Problem:
     class_called: np.ndarray
 
     @classmethod
-    def of(cls, seen: Seen, mix: Mix, shrinkage: Shrinkage, confusion: Confusion | None) -> Problem:
+    def of(cls, seen: Seen, mix: Mix) -> Problem:
         """The problem of the vehicles `seen` and one fleet; see `mixture.fit`."""
-        log_size, classes, weights = seen.log_size, mix.classes, mix.weights
+        log_size, shrinkage, confusion = seen.log_size, seen.shrinkage, seen.confusion
+        classes, weights = mix.classes, mix.weights
         every = [*classes, LARGER, LORRIES, partly_hidden(classes)]
         means = np.array([shrinkage.log_mean(c) for c in every])
         # A box's relative noise is taken of the size that its vehicle should have, not of the measured size: else boxes

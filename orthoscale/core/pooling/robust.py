@@ -32,7 +32,7 @@ from ..votes import Votes
 from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Fits, fit
-from .observed import Confusion, Seen, Shrinkage
+from .observed import Seen
 from .one_model import OneModel, of_one_model
 from .posterior import Posterior
 from .problem import Mix, believed, combine
@@ -92,14 +92,15 @@ def pool(
     """
     index, size = _measurable(votes, ruler)
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    seen = Seen(np.log(size), vote_noise(votes, ruler)[index], _called(votes, ruler)[index])
+    noise, called = vote_noise(votes, ruler)[index], _called(votes, ruler)[index]
+    seen = Seen(np.log(size), noise, called, ruler.shrinkage, ruler.confusion)
     share_px = np.median(votes.pixel[index, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
     unknown = bool(fleet.candidates) and not country
     telling = [vote for vote in anchors if tells_country(vote)] if unknown else []
-    best, fleets = _of_candidates(seen, fleet, known, ruler, telling)
-    best = _perhaps_of_one_model(best, of_one_model(seen, fleet, known, ruler.shrinkage, ruler.confusion))
+    best, fleets = _of_candidates(seen, fleet, known, telling)
+    best = _perhaps_of_one_model(best, of_one_model(seen, fleet, known))
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} fit vehicles at one scale; "
@@ -188,9 +189,8 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     its views share."""
     views = np.maximum(votes.views, 1)
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2 * of_median(views)[:, None]
-    if votes.sigma is not None:
-        own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
-        variance = np.where(np.isfinite(own), own, variance)
+    own = (votes.sigma * votes.size * left_by_views(views)[:, None]) ** 2
+    variance = np.where(np.isfinite(own), own, variance)
     if votes.lasting is not None:
         variance = variance + (votes.lasting * votes.size) ** 2
     return np.sqrt(variance)
@@ -198,7 +198,7 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
 
 def _called(votes: Votes, ruler: Ruler) -> np.ndarray:
     """(N, 4) probability of each kind for each vote, zeros where it was not assessed; (N, 0) if kinds are not used."""
-    if votes.kinds is None or not ruler.kinds or np.isnan(votes.kinds).all():
+    if not ruler.kinds or np.isnan(votes.kinds).all():
         return np.empty((len(votes), 0))
     return np.where(np.isnan(votes.kinds).any(1, keepdims=True), 0.0, votes.kinds)
 
@@ -209,7 +209,7 @@ def left_by_views(views: np.ndarray) -> np.ndarray:
 
 
 def _of_candidates(
-    seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], ruler: Ruler, telling: Sequence[AnchorVote]
+    seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], telling: Sequence[AnchorVote]
 ) -> tuple[_Vehicles, dict[str, float]]:
     """The scale by the votes if they are of one of the candidates of `fleet`; and the probability of each, by code.
 
@@ -222,7 +222,7 @@ def _of_candidates(
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
         """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
-        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.shrinkage, ruler.confusion)
+        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
         if not out:
             raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
@@ -231,8 +231,8 @@ def _of_candidates(
     if len(candidates) == 1:
         return tried([0], count)[0], {candidates[0].code: 1.0}
     prior = np.array(fleet.prior)
-    if ruler.confusion and seen.called.size:
-        prior = prior * country_likelihoods(seen.called, candidates, prior, ruler.confusion)
+    if seen.confusion and seen.called.size:
+        prior = prior * country_likelihoods(seen.called, candidates, prior, seen.confusion)
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
@@ -273,24 +273,18 @@ def _by_fleets(best: _Vehicles, posterior: Posterior) -> _Vehicles:
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider})
 
 
-def _of_fleets(
-    seen: Seen,
-    fleets: Sequence[Fleet],
-    known: Mapping[str, np.ndarray],
-    shrinkage: Shrinkage,
-    confusion: Confusion | None,
-) -> list[_Vehicles | None]:
+def _of_fleets(seen: Seen, fleets: Sequence[Fleet], known: Mapping[str, np.ndarray]) -> list[_Vehicles | None]:
     """The scale by the vehicles `seen` under each of `fleets`, None where they cannot be of it. known : by part of the
     uncertainty, the (2, 2) covariances of the other errors common to all of them."""
     every, mixes = [], []
     for fleet in fleets:
         classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
-        shared = {"fleet": shrinkage.covariance(fleet.class_mean_covariance(classes)), **known}
+        shared = {"fleet": seen.shrinkage.covariance(fleet.class_mean_covariance(classes)), **known}
         systematic = believed(sum(shared.values(), np.zeros((2, 2))))
         every.append(shared)
         # Weights by the common errors alone: the fit ties the two scales by these, and so contains the votes' scatter.
         mixes.append(Mix(classes, systematic, combine(systematic), fleet.place_vehicles))
-    found = fit(seen, mixes, shrinkage, confusion)
+    found = fit(seen, mixes)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
         for fits, mix, shared in zip(found, mixes, every, strict=True)

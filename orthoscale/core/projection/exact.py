@@ -112,10 +112,9 @@ def size_by_ends_and_sides(boxes: Boxes, views: Views, metres_per_unit: float, h
 def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np.ndarray:
     plan, heights = hull.outline()
     heights = heights / metres_per_unit
-    u = np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
-    axes = np.stack([u, np.stack([-u[:, 1], u[:, 0]], -1)], 1)  # (N, 2 axes, 2): the box's own, in the image
+    axes = np.stack([boxes.along, boxes.across], 1)  # (N, 2 axes, 2): the box's own, in the image
     to_axes = axes @ views.lens  # (N, 2, 2) from the plane z = 1 to pixels along the box's axes
-    along, across = ground_axes(views, u)
+    along, across = ground_axes(boxes, views)
     # A point X of the camera's space lies (form_k . X) / X_z pixels along box axis k from the box's centre.
     centre = views.ground[:, :2] / views.ground[:, 2:]
     forms = np.concatenate([to_axes, -to_axes @ centre[..., None]], -1)  # (N, 2 forms, 3)
@@ -144,13 +143,13 @@ def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np
     return np.where(good[:, None], size, np.nan)
 
 
-def ground_axes(views: Views, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (N, 3) on the ground, camera coordinates, along and across a vehicle whose image runs along `u`.
+def ground_axes(boxes: Boxes, views: Views) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (N, 3) on the ground, camera coordinates, along and across the vehicles in `boxes`.
 
-    `u` (N, 2) is a direction in pixels at the box's centre. The plane through the camera, the centre's ray and that
-    direction cuts the ground along the vehicle's heading (or against it: which end is the front is not known).
+    The plane through the camera, the ray of a box's centre and its long side cuts the ground along the vehicle's
+    heading (or against it: which end is the front is not known).
     """
-    in_plane = np.linalg.solve(views.lens, u[..., None])[..., 0]
+    in_plane = np.linalg.solve(views.lens, boxes.along[..., None])[..., 0]
     ray = views.ground / views.ground[:, 2:]
     sweep = np.cross(ray, np.pad(in_plane, ((0, 0), (0, 1))))
     along = np.cross(sweep, views.normal)

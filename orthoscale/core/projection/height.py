@@ -16,7 +16,7 @@ from .view import Views
 def radial_cosine(boxes: Boxes, views: Views) -> np.ndarray:
     """(N,) cosine of the angle, in 0..pi/2, between each box's long side and the radial direction, measured on the
     ground; radial is the viewing ray's azimuth. 0 straight below the camera, where there is no azimuth."""
-    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
+    along, _ = ground_axes(boxes, views)
     radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal
     radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-12)
     cosine: np.ndarray = np.clip(np.abs((along * radial).sum(1)), 0, 1)

@@ -113,7 +113,7 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
             items, sizes = coco.read(text, str(path))
             kept = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
         else:
-            return _of_own_document(of_document(text, path), source, path, own_sizes, alone)
+            return _of_own_document(of_document(text, path), source, path, alone)
     other = other_name([item.picture for item in items], source.picture_names) if alone else None
     if other is not None:
         (name,) = source.picture_names
@@ -128,13 +128,11 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
     if other is not None:
         found = found.renamed(lambda picture: name if picture == other else picture)
     if any(item.on_map for item in items):
-        found = _on_this_map(found, source, path, own_sizes)
-    return _checked(found, source, path, own_sizes, other)
+        found = _on_this_map(found, source, path)
+    return _checked(found, source, path, other)
 
 
-def _of_own_document(
-    found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]], alone: bool
-) -> Detections:
+def _of_own_document(found: Detections, source: Pictures, path: Path, alone: bool) -> Detections:
     """The vehicles in the pictures of `source`, from a file in our own format. Raises InputError."""
     aside = [name for some in found.set_aside.values() for name in some]
     other = None
@@ -142,7 +140,7 @@ def _of_own_document(
         other = other_name([*found.boxes, *found.doubtful, *found.objects, *aside], source.picture_names)
     if other is not None:
         found = found.renamed(lambda name: source.picture_names[0])
-    return _checked(found, source, path, sizes, other)
+    return _checked(found, source, path, other)
 
 
 def _check_resampled(items: Sequence[Item], path: Path) -> None:
@@ -157,10 +155,10 @@ def _check_resampled(items: Sequence[Item], path: Path) -> None:
         )
 
 
-def _on_this_map(found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]]) -> Detections:
+def _on_this_map(found: Detections, source: Pictures, path: Path) -> Detections:
     """`found`, whose vehicles have coordinates on a map, which fit other cuts of the same picture too. What a file has
     besides, in pixels, fits only the picture it was made on, and is left out of others, with a note."""
-    if all(size == sizes[name] for name, size in sizes_of(found.sizes, source.picture_names)):
+    if all(size == source.image_size(name) for name, size in sizes_of(found.sizes, source.picture_names)):
         return found
     if found.doubtful or found.set_aside or found.objects:
         text = "was made on another cut of this picture: its vehicles count, but not what else was found there"
@@ -211,19 +209,13 @@ def _check_sizes(told: Sequence[tuple[str, tuple[int, int]]], sizes: Mapping[str
             )
 
 
-def _checked(
-    found: Detections,
-    source: Pictures,
-    path: Path,
-    sizes: Mapping[str, tuple[int, int]],
-    other: str | None = None,
-) -> Detections:
+def _checked(found: Detections, source: Pictures, path: Path, other: str | None) -> Detections:
     """`found` without pictures that `source` does not have (as of a workspace's other models), and without boxes that
-    repeat another. sizes : of the source's pictures. other : the file's name for the single picture, if it differs from
-    the source's.
+    repeat another. other : the file's name for the single picture, if it differs from the source's.
 
     Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
     """
+    sizes = _sizes(source)
     _check_sizes(sizes_of(found.sizes, source.picture_names), sizes, path)
     found = _in_source(_named_as_in(sizes, found), source, path)
     _check_boxes(found, sizes, path)

@@ -164,7 +164,6 @@ def _rows(boxes: Boxes) -> list[dict[str, Any]]:
 
 def measured_notes(boxes: Boxes) -> list[dict[str, list[float | None]]]:
     """For each box, what a file says about its sigma and kinds; empty where they are not known."""
-    assert boxes.sigma is not None and boxes.kinds is not None  # `Boxes` sets both when it is created
     notes: list[dict[str, list[float | None]]] = []
     for sigma, kinds in zip(boxes.sigma.tolist(), boxes.kinds.tolist(), strict=True):
         known = {} if np.isnan(sigma).all() else {"sigma": [round(v, 5) if np.isfinite(v) else None for v in sigma]}

@@ -67,24 +67,6 @@ class FleetEntry(Struct):
             raise ValueError("expected a mixture with at least one weight above zero")
 
 
-class Segment(Struct, rename={"class_": "class"}):
-    """A market segment: its sizes [m] over `models` models on sale."""
-
-    class_: Name
-    length: Sizes
-    width: Sizes
-    height: Sizes
-    corr_LW: Correlation
-    models: Annotated[int, Meta(ge=1)]
-
-
-class FleetTable(Struct):
-    """``data/fleets.json``."""
-
-    segments: dict[str, Segment]
-    fleets: dict[str, FleetEntry]
-
-
 class CalibrationEntry(Struct):
     """`core.calibration.Calibration`."""
 

@@ -1,4 +1,4 @@
-"""Objects of standard size: objects, anchors, parking stalls, and facilities with their painted lines."""
+"""A user's standards of anchors, and facilities with their painted lines."""
 
 from __future__ import annotations
 
@@ -6,17 +6,7 @@ from typing import Annotated
 
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from .fleets import Sizes
-from .values import Metres, Name, Sigma, Text
-
-
-class ObjectStandard(Struct):
-    """The standard size of one kind of object [m], and its source."""
-
-    name: Text
-    length: Sizes
-    width: Sizes
-    source: Text
+from .values import Name, Text
 
 
 class AnchorStandard(Struct, forbid_unknown_fields=True):
@@ -37,29 +27,6 @@ class AnchorStandards(Struct):
     """A user's file of standards."""
 
     standards: list[AnchorStandard]
-
-
-class ObjectTable(Struct):
-    """``data/objects.json``."""
-
-    objects: dict[str, list[ObjectStandard]]
-
-
-class Stall(Struct):
-    """The size of a country's parking stalls, and one sigma of their width [m]. countries : where they are used, if the
-    row's key is no country."""
-
-    width: Metres
-    width_sd: Sigma
-    length: Metres
-    source: Text
-    countries: list[str] = []
-
-
-class StallTable(Struct):
-    """``data/stalls.json``."""
-
-    stalls: dict[str, Stall]
 
 
 Extent = Annotated[float, Meta(gt=0, le=10_000)]  # [m]
@@ -94,16 +61,3 @@ class Catalogue(Struct):
     """A user's facilities by their code."""
 
     facilities: dict[str, FacilityEntry]
-
-
-class Aisle(Struct):
-    """The aisle between parking bays of one country [m]."""
-
-    aisle: Extent
-    source: Text
-
-
-class FacilityTable(Catalogue):
-    """``data/facilities.json``."""
-
-    parking: dict[str, Aisle]

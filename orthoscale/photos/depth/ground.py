@@ -122,9 +122,7 @@ def _rings(boxes: Boxes) -> np.ndarray:
     half = np.stack([boxes.length, boxes.width], 1) / 2
     reach = half[:, None] + np.array(RINGS)[:, None] * boxes.width[:, None, None]
     local = (square[None, None] * reach[:, :, None]).reshape(len(boxes), -1, 2)
-    along = np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], 1)
-    across = np.stack([-along[:, 1], along[:, 0]], 1)
-    return boxes.centre[:, None] + local[..., :1] * along[:, None] + local[..., 1:] * across[:, None]
+    return boxes.centre[:, None] + local[..., :1] * boxes.along[:, None] + local[..., 1:] * boxes.across[:, None]
 
 
 def _covered(photo: Photo, boxes: Boxes, pixels: np.ndarray) -> np.ndarray:
