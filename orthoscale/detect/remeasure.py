@@ -209,7 +209,10 @@ def _without_shadows(told: Mapping[str, Measured], pixel: float) -> tuple[dict[s
     """`told` without the shadows in the boxes of dark vehicles, and (2,) the log factor of length and width that this
     takes off. pixel : as in `_moved_out`."""
     every = [(np.log(t.boxes.xylwa[:, 2:4]), np.where(t.kind[:, -1] < NONE, t.light, np.nan)) for t in told.values()]
-    too_large = shadows(*(np.concatenate(part) for part in zip(*every, strict=True)), pixel) if every else np.zeros(2)
+    too_large = np.zeros(2)
+    if every:
+        log_size, light = (np.concatenate(part) for part in zip(*every, strict=True))
+        too_large = shadows(log_size, light, pixel)
     without = {}
     for name, t in told.items():
         xylwa = t.boxes.xylwa.copy()

@@ -115,7 +115,7 @@ def if_alone(scale: Scale, boxes: Boxes) -> Scale:
     2.3 times the scale of a school's yard once, whose three cars were "too large" (a sixteenth of `tartu_b`). In 140
     other parts of real orthophotos up to 0.17 as many are cars of another size: partly hidden, or two taken for one.
     """
-    cars = ~scale.used & (np.asarray(boxes.kinds)[:, KINDS.index("car")] > 0.5)
+    cars = ~scale.used & (boxes.kinds[:, KINDS.index("car")] > 0.5)
     usual = float(np.median(boxes.length[scale.used]))
     larger = boxes.length > usual
     others = max((boxes.length[cars & side] for side in (larger, ~larger)), key=len)
