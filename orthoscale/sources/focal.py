@@ -128,17 +128,23 @@ def bend_sd(model: pycolmap.Reconstruction, up: np.ndarray) -> float:
         return 0.0
     centres = -np.einsum("nji,nj->ni", block.rotation, block.shift)
     places = np.array([xyz for xyz, _, _ in block.tracks])
-    by_centre, by_point = (_by_spread(p, up) for p in (centres, places))
+    (by_centre, lean), (by_point, tilt) = (_by_spread(p, up) for p in (centres, places))
+    # `up` turns with the points, or the arbitrary orientation of the model would count.
+    slope = by_point @ np.linalg.pinv(by_point.T @ by_point, rcond=HELD) * (by_point**2).sum()
+    by_point = by_point + np.outer(slope @ (tilt - lean), up)
     by_shift = block.distance * np.einsum("nij,nj->ni", block.rotation, by_centre)
     by_pose = np.column_stack([np.zeros_like(by_shift), by_shift])
     return SYSTEMATIC * block.sd(np.r_[by_pose.ravel(), np.zeros(LENS_UNKNOWNS)], by_point)
 
 
-def _by_spread(points: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Derivative (N, 3) of the logarithm of the spread of points (N, 3) across `up`, by the points."""
+def _by_spread(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the logarithm of the spread of points (N, 3) across `up`: (N, 3) by the points, and (3,) by a tilt
+    of `up` with its sign reversed."""
     out = points - points.mean(0)
-    out -= (out @ up)[:, None] * up
-    return out / max(float((out**2).sum()), np.finfo(float).tiny)
+    height = out @ up
+    out -= height[:, None] * up
+    by_point = out / max(float((out**2).sum()), np.finfo(float).tiny)
+    return by_point, height @ by_point
 
 
 @dataclass(frozen=True)
