@@ -276,6 +276,9 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     """Either alone does not: nothing would show that it is mistaken."""
     (tmp_path / "none.json").write_text("{}")
     options = {**usual(flight), "detections": tmp_path / "none.json"}
+    with pytest.raises(TooLittleEvidence) as refused:
+        orthoscale.estimate(flight, **options, gps=False)
+    assert "two kinds of evidence that agree, such as --known-distance and --ground-control" in refused.value.hint
     with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*given: GPS positions"):
         orthoscale.estimate(flight, **options)
     with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*given: the known distance"):
