@@ -316,6 +316,13 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
         orthoscale.estimate(path, estimator="iqr", **options)  # the paper's takes vehicles only
 
 
+def test_what_was_looked_for_at_some_scale_is_not_called_too_small(two_kinds, tmp_path, monkeypatch):
+    monkeypatch.setattr("orthoscale.actions.anchors.LADDER", (0.03, 2.0))  # squares are sought up to 0.5 m/px
+    path, options = empty_lot(tmp_path, small=True)
+    found = orthoscale.estimate(path, **options)
+    assert found.scale.evidence and not [r.text for r in found.remarks if "too small to be seen" in r.text]
+
+
 @pytest.mark.slow
 def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(square_finder, tmp_path):
     path, options = empty_lot(tmp_path, small=False)

@@ -12,7 +12,7 @@ from orthoscale.core.projection.exact import ground_size
 from orthoscale.core.projection.level import level_views, up_from_gimbal
 from orthoscale.sources import focal
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.focal import SYSTEMATIC, focal_doubt, focal_sd
+from orthoscale.sources.focal import SYSTEMATIC, bend_sd, focal_doubt, focal_sd
 from orthoscale.synthetic import make_scene, write_colmap
 
 
@@ -56,6 +56,53 @@ def test_what_the_normal_equations_say_is_what_adjustment_does(suburb, tmp_path)
     assert 0.4 < np.sqrt(np.mean(np.square(found))) / np.mean(said) < 2.5
 
 
+@pytest.mark.slow
+def test_how_far_straight_views_may_bend_a_block_is_what_adjustment_does(suburb, tmp_path):
+    """The spread of the cameras over that of the points, after bundle adjustment of noise, against the truth."""
+    found, said = [], []
+    for seed in range(6):
+        write_colmap(
+            suburb, tmp_path / str(seed), 3.0, 8, 90, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
+        )
+        model = pycolmap.Reconstruction(str(tmp_path / str(seed) / "sparse"))
+        up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
+        before = spreads(model, up)
+        camera = model.cameras[1]
+        model.cameras[1] = pycolmap.Camera(
+            camera_id=1, model="RADIAL", width=camera.width, height=camera.height, params=[*camera.params, 0.0, 0.0]
+        )
+        options = pycolmap.BundleAdjustmentOptions()
+        options.print_summary = False
+        pycolmap.bundle_adjustment(model, options)
+        up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
+        said.append(bend_sd(model, up) / SYSTEMATIC)
+        found.append(spreads(model, up) - before)
+    assert 0.4 < np.sqrt(np.mean(np.square(found))) / np.mean(said) < 2.5
+
+
+def places(model):
+    """(N, 3) camera centres and (P, 3) points."""
+    centres = np.array([model.image(number).projection_center() for number in sorted(model.reg_image_ids())])
+    return centres, np.array([model.point3D(number).xyz for number in sorted(model.point3D_ids())])
+
+
+def spreads(model, up):
+    """Logarithm of the spread of the points over that of the cameras, across `up`."""
+    level = np.eye(3) - np.outer(up, up)
+    centres, points = (np.sqrt((((p - p.mean(0)) @ level) ** 2).sum()) for p in places(model))
+    return np.log(points / centres)
+
+
+@pytest.mark.slow
+def test_straight_down_leaves_a_bend_open_and_a_slant_less(suburb, tmp_path):
+    """Also where the ground is not level, and the spread across the upward axis depends on the axis."""
+    said = []
+    for name, pitch, slope in (("down", 90, 0.0), ("slant", 60, 0.0), ("slope", 60, 8.0)):
+        write_colmap(suburb, tmp_path / name, 3.0, 12, pitch, 80.0, slope_deg=slope, pictures=False)
+        said.append(ColmapSource.open(tmp_path / name, need_images=False).bend_sd)
+    assert said[0] > 3 * max(said[1:]) and 0.02 < said[0] < 0.2 and max(said[1:]) < 0.02
+
+
 def test_the_numbers_of_images_and_points_do_not_matter(suburb, tmp_path, monkeypatch):
     """Not even where only some of many tracks that are equally long are used, and some views of each."""
     monkeypatch.setattr(focal, "MOST_TRACKS", 150)
@@ -80,6 +127,7 @@ def test_the_numbers_of_images_and_points_do_not_matter(suburb, tmp_path, monkey
 
 def test_too_few_tracks_say_nothing():
     assert focal_sd(pycolmap.Reconstruction()) is None
+    assert bend_sd(pycolmap.Reconstruction(), np.array([0.0, 0, 1])) == 0
     assert focal_doubt(pycolmap.Reconstruction(), []).sd == 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ import orthoscale
 from orthoscale.core.claims import metric_claim, perhaps_metric
 from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence, combined
-from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
+from orthoscale.core.gps import FEWEST_POSITIONS, bend, by_positions
 from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.scale import Scale
@@ -148,9 +149,9 @@ def test_what_decides_the_scale_is_said():
     assert combined(vehicles, {"sampling": 0.05}, [far]).conflict > 3
 
 
-def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=(), longitude=8.5):
+def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=(), longitude=8.5, bowl=0.0, altitudes=True):
     """A flight whose frames have GPS positions, at 47 degrees north, and its vehicles. wrong : numbers of the frames
-    whose positions are 150 m off."""
+    whose positions are 150 m off. bowl : curvature of what the model makes of flat ground [1/m]."""
     model, turn = make_model()
     save(model, folder / "sparse" / "0", "bin")
     source = ColmapSource.open(folder, need_images=False)
@@ -158,10 +159,14 @@ def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=(), longitude=8.5):
     rng = np.random.default_rng(0)
     (folder / "images").mkdir()
     for k, name in enumerate(source.picture_names):
-        east, north = (metres_per_unit * source.centre(name) @ turn)[:2] + rng.normal(0, noise, 2)
+        *aside, above = metres_per_unit * source.centre(name) @ turn
+        east, north = np.array(aside) * (1 + bowl * above) + rng.normal(0, noise, 2)
         east += 150.0 * (k in wrong)
+        altitude = [100 + above - bowl * (east**2 + north**2) / 2] * altitudes
         taken = {0x010F: "DJI", 0x9003: f"2026:06:01 12:{k // 12:02d}:{5 * k % 60:02d}"}
-        write_photo(folder / "images" / name, exif=taken, gps=local(east, north, inverse=True), size=(640, 480))
+        write_photo(
+            folder / "images" / name, exif=taken, gps=(*local(east, north, inverse=True), *altitude), size=(640, 480)
+        )
     return found_by(folder, turn)
 
 
@@ -179,6 +184,45 @@ def usual(folder):
 def test_the_tags_of_frames_give_a_model_its_scale(flight):
     (found,) = open_source(flight).gps.evidence
     assert abs(np.log(found.value / UNIT)) < 2 * found.relative_sd < 0.04
+
+
+@pytest.mark.parametrize(("bowl", "told"), [(2e-4, "a bowl, .* 6.. % more"), (-2e-4, "a dome, .* 5.. % less")])
+def test_positions_of_a_bent_model_give_the_scale_of_its_ground(tmp_path, bowl, told):
+    """Self-calibration bends flat blocks: `weedon` by 6 %, cameras at 75 m. Altitudes show it."""
+    tagged(tmp_path, 25.0, bowl=bowl)
+    source = open_source(tmp_path)
+    source.__dict__["bend_sd"] = 0.06  # as of a flight that looks straight down
+    (found,), (note,) = source.gps.evidence, source.gps.notes
+    assert found.value == pytest.approx(25.0, rel=0.01) and found.relative_sd < 0.01
+    assert re.search(told, note)
+
+
+def test_without_altitudes_a_bend_is_a_part_of_the_uncertainty(tmp_path):
+    tagged(tmp_path, 25.0, bowl=2e-4, altitudes=False)
+    source = open_source(tmp_path)
+    source.__dict__["bend_sd"] = 0.06
+    (found,) = source.gps.evidence
+    assert found.value == pytest.approx(26.5, rel=0.01) and 0.06 < found.relative_sd < 0.065 and not source.gps.notes
+    source = open_source(tmp_path)
+    source.__dict__["bend_sd"] = 0.2
+    assert not source.gps.evidence
+    assert "they give the scale at its cameras, and how far it is bent is left open" in source.gps.notes[0]
+
+
+def test_altitudes_say_as_much_of_a_bend_as_they_are_exact():
+    path = lawnmower(40, 150)
+    rng = np.random.default_rng(0)
+    bowl = 60 + 1e-3 * ((path - path.mean(0)) ** 2).sum(1) / 2
+    for noise, least, most in ((0.1, 0.0, 0.01), (1.0, 0.003, 0.02), (20.0, 0.04, 0.0501)):
+        told = 300 + rng.normal(0, noise, len(path))
+        value, sd = bend(path, bowl, told, times(path), 60.0, 0.05)
+        assert least < sd < most and abs(value - 0.06) < 2 * sd
+    for nothing in (None, np.zeros(len(path))):
+        assert bend(path, bowl, nothing, times(path), 60.0, 0.05) == (0.0, 0.05)
+    told = rng.normal(0, 0.1, len(path))
+    ring, line = circle(40, 150), path * (1, 0)
+    assert bend(ring, told, told, times(ring), 60.0, 0.05) == (0.0, 0.05), "a circle has one distance from its middle"
+    assert bend(line, told, told[::-1], np.arange(40.0), 60.0, 0.05)[1] < 0.04, "on a line"
 
 
 def test_a_flight_over_the_180th_meridian_goes_on(tmp_path):
@@ -232,6 +276,9 @@ def test_positions_and_a_known_distance_that_agree_give_a_scale_without_vehicles
     """Either alone does not: nothing would show that it is mistaken."""
     (tmp_path / "none.json").write_text("{}")
     options = {**usual(flight), "detections": tmp_path / "none.json"}
+    with pytest.raises(TooLittleEvidence) as refused:
+        orthoscale.estimate(flight, **options, gps=False)
+    assert "two kinds of evidence that agree, such as --known-distance and --ground-control" in refused.value.hint
     with pytest.raises(TooLittleEvidence, match="0 boxes.*two kinds of evidence .*given: GPS positions"):
         orthoscale.estimate(flight, **options)
     with pytest.raises(TooLittleEvidence, match="two kinds of evidence .*given: the known distance"):

@@ -25,6 +25,7 @@ from orthoscale.actions.check import Comparison, comparisons
 from orthoscale.core.claims import own_claim
 from orthoscale.core.detections import Swept, Tile
 from orthoscale.core.evidence import Evidence
+from orthoscale.core.remarks import CAUTION, INFO, SEVERITIES, Remark
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.csv_table import write_csv
@@ -246,6 +247,16 @@ def test_what_printing_a_result_shows_are_all_its_remarks(everything):
     _, result = everything
     told = dict(result.brief())["remarks"]
     assert result.remarks and told == f"{len(result.remarks)}, the first: {result.remarks[0].text}"
+
+
+def test_what_a_result_cautions_of_comes_before_what_it_notes(everything):
+    """A caution from opening a model, that all cameras stand on one line, was the last of its remarks."""
+    _, result = everything
+    source = SimpleNamespace(notes=[*result.source.notes, Remark(INFO, "read"), Remark(CAUTION, "on a line")])
+    remarks = replace(result, source=source).remarks
+    assert len(remarks) == len(result.remarks) + 2
+    first = [remark.severity for remark in remarks]
+    assert first == sorted(first, key=SEVERITIES.index) and first[0] == CAUTION and first[-1] == INFO
 
 
 def test_the_scale_file_begins_with_the_scale(everything):

@@ -191,14 +191,17 @@ def test_pose_priors_are_left_alone_and_said(work):
         prior = pycolmap.PosePrior(position=np.ones(3))
         prior.corr_data_id = pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1), number)
         database.write_pose_prior(prior)
+        turned = pycolmap.PosePrior(position=np.full(3, np.nan), gravity=np.array([1.0, 0, 0]))  # by EXIF's orientation
+        turned.corr_data_id = pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1), number + 1)
+        database.write_pose_prior(turned)
     before = path.read_bytes()
     notes = [*map(str, ColmapSource.open(work / "sparse/0", need_images=False).notes)]
-    assert any("1 pose priors are not in model units" in note for note in notes)
+    assert any("its pose prior is not in model units" in note for note in notes)
     assert path.read_bytes() == before
     path.unlink()
     sqlite3.connect(path).close()
     assert not any(
-        "pose priors are" in note for note in map(str, ColmapSource.open(work / "sparse/0", need_images=False).notes)
+        "pose prior" in note for note in map(str, ColmapSource.open(work / "sparse/0", need_images=False).notes)
     )
 
 

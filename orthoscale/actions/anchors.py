@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..anchors import kinds
-from ..core.anchors import Anchor, AnchorVote, Standard
+from ..core.anchors import AnchorVote, Standard
 from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.measuring.without_vehicles import FEWEST_KINDS
@@ -138,16 +138,14 @@ def at_any_scale(source: Source, rough: tuple[float, float] | None, wanted: Want
     count = max(1, math.ceil((high - low) / (4 * RUNG_SD)))
     edges = np.linspace(low, high, count + 1)
     found: dict[str, list[AnchorVote]] = {}
-    notes: dict[str, None] = {}  # each once, in their order
-    every: list[Anchor] = []
-    for middle in (edges[:-1] + edges[1:]) / 2:
-        rung = anchors_at(source, float(np.exp(middle)), RUNG_SD, wanted, 1 / count)
-        every += rung.anchors
-        notes.update(dict.fromkeys(rung.notes))
-        for vote in rung.votes:
-            found.setdefault(vote.anchor.kind, []).append(vote)
+    scales = np.exp((edges[:-1] + edges[1:]) / 2).tolist()
+    rungs = [anchors_at(source, scale, RUNG_SD, wanted, 1 / count) for scale in scales]
+    for vote in (vote for rung in rungs for vote in rung.votes):
+        found.setdefault(vote.anchor.kind, []).append(vote)
     votes = [vote for these in found.values() for vote in _one_thing_once(these, high - low)]
-    return FoundAnchors(tuple(every), tuple(votes), notes=tuple(notes))
+    every = tuple(anchor for rung in rungs for anchor in rung.anchors)
+    # What is too small at the first scale, the finest, was never looked for; else there is nothing to say.
+    return FoundAnchors(every, tuple(votes), notes=rungs[0].notes)
 
 
 def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVote]:

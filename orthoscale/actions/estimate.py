@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from ..requests import EstimateOptions
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # relative one-sigma of --gsd-hint and of georeferencing, where no vehicles give a scale
+OR_EVIDENCE = "Or give two kinds of evidence that agree, such as --known-distance and --ground-control."
 
 log = logging.getLogger(__name__)
 
@@ -174,8 +175,10 @@ def _answer(
             answer = None if method.vehicles_only else _without_vehicles(asked, found, method, request, wanted)
         except TooLittleEvidence as also:
             raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
-        if answer is None:
+        if answer is None and method.vehicles_only:
             raise
+        if answer is None:
+            raise TooLittleEvidence(error.message, f"{error.hint} {OR_EVIDENCE}") from error
         return answer
 
 

@@ -8,6 +8,11 @@ times exp(-time / memory), alike in east and north), and all likely sizes and me
 likelihood of the residuals. The scale is that of least squares, which does not depend on them; its sigma is the
 weighted root mean square of what those errors do to it, and more where the residuals are larger than a receiver's
 (RECEIVERS).
+
+A model may be bent: a bowl or a dome, which self-calibration makes of a flat block. Then its cameras are closer
+together or further apart than on a flat one, and their scale is not that of the ground below them. How far the tracks
+leave that open is known (`sources.focal`), and the altitudes of a drone, compared with the heights of its cameras, show
+it.
 """
 
 from __future__ import annotations
@@ -39,6 +44,7 @@ MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothin
 # Root mean square distance of the positions from their middle, below which they say nothing [m]: several RECEIVERS, and
 # the decimetres between antenna and camera, which no residual shows. A judgement.
 LEAST_EXTENT = 10.0
+BY_ROUNDING = 1e-6  # relative size of what differs by rounding only
 UNFIT = "they do not fit its cameras"
 
 
@@ -87,11 +93,47 @@ def _fitting(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return off < max(ODD * typical, ORDINARY)
 
 
+def bend(
+    places: np.ndarray,
+    heights: np.ndarray,
+    altitudes: np.ndarray | None,
+    seconds: np.ndarray,
+    above: float,
+    open_sd: float,
+) -> tuple[float, float]:
+    """By how much the scale at the cameras of a bent model exceeds that on the ground, relatively; and its one sigma.
+
+    It is the curvature of the surface that cameras at one altitude lie on in the model, times their height `above` the
+    ground [m]: positive in a bowl. places : (N, 2) cameras from above [m]. heights : (N,) along the model's upward axis
+    [m]. altitudes : (N,) as the drone tells them, from any level [m], or None; equal ones tell nothing. open_sd : its
+    one sigma by the tracks alone, about 0.
+    """
+    if altitudes is None or not np.ptp(altitudes) > 0 or not open_sd > 0:
+        return 0.0, open_sd
+    axes, size, _ = np.linalg.svd(places - places.mean(0), full_matrices=False)
+    level = np.column_stack([np.ones(len(places)), axes[:, size > BY_ROUNDING * size[0]]])
+    bowl = ((places - places.mean(0)) ** 2).sum(1) / 2
+    bowl_alone = bowl - level @ (np.linalg.pinv(level) @ bowl)
+    if not np.linalg.norm(bowl_alone) > BY_ROUNDING * np.linalg.norm(bowl):  # a circle shows no bowl
+        return 0.0, open_sd
+    curvature, variance = _first(np.column_stack([bowl_alone, level]), heights - altitudes, seconds)
+    sd = above * float(np.sqrt(variance))
+    weight = open_sd**2 / (open_sd**2 + sd**2)
+    return float(weight * above * curvature.real), float(np.sqrt(weight) * sd)
+
+
 def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, float]:
-    """The scale of the least-squares similarity from `a` to `b`, complex; and its relative one sigma, averaged over all
-    likely errors."""
-    design = np.stack([a - a.mean(), np.ones(len(a))], 1)
-    take = design[:, 0].conj() / np.vdot(design[:, 0], design[:, 0]).real  # weight of each position in the factor
+    """The scale of the least-squares similarity from `a` to `b`, complex; and its relative one sigma."""
+    factor, variance = _first(np.stack([a - a.mean(), np.ones(len(a))], 1), b, seconds)
+    scale = float(abs(factor))
+    return scale, float(np.sqrt(variance)) / scale
+
+
+def _first(design: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[complex, float]:
+    """The first coefficient of the least-squares fit of `design` (N, K) to `b` (N,); and its variance, averaged over
+    all likely errors. Complex numbers have two axes with errors alike, real ones have one."""
+    inverse_design, axes_of_b = np.linalg.pinv(design), 2 if np.iscomplexobj(b) else 1
+    take = inverse_design[0]  # weight of each value in the coefficient
     apart = np.abs(seconds[:, None] - seconds)
     found = []
     for memory in MEMORIES:
@@ -103,14 +145,11 @@ def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, fl
                 whitened = x / variance[:, None]
                 inverse = np.linalg.inv(x.conj().T @ whitened)
                 off = y - x @ (inverse @ (whitened.conj().T @ y))
-                # Log likelihood of the residuals, east and north alike (restricted maximum likelihood).
-                log = np.linalg.slogdet(inverse)[1] - np.log(variance).sum() - (np.abs(off) ** 2 / variance).sum() / 2
-                found.append((log, share @ variance))
+                # Log likelihood of the residuals (restricted maximum likelihood).
+                log = axes_of_b * (np.linalg.slogdet(inverse)[1] - np.log(variance).sum())
+                found.append(((log - (np.abs(off) ** 2 / variance).sum()) / 2, share @ variance))
     log, variance = np.array(found).T
     weight = np.exp(log - log.max())
-    factor = take @ b
-    x = design[:, 0]
-    rest = float((np.abs(b - b.mean() - factor * x) ** 2).mean()) / 2
-    strange = max(rest - RECEIVERS**2, 0.0) / float((np.abs(x) ** 2).mean())
-    scale = float(abs(factor))
-    return scale, float(np.sqrt(weight @ variance / weight.sum() + strange)) / scale
+    rest = float((np.abs(b - design @ (inverse_design @ b)) ** 2).mean()) / axes_of_b
+    strange = max(rest - RECEIVERS**2, 0.0) * len(b) * float((np.abs(take) ** 2).sum())
+    return complex(take @ b), float(weight @ variance / weight.sum() + strange)

@@ -18,7 +18,6 @@ ONE = {  # the singular of each plural word
     "boxes": "box",
     "photos": "photo",
     "do": "does",
-    "them": "it",
 }
 
 

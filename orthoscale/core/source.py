@@ -280,6 +280,12 @@ class PosedSet(Measurable, Protocol):
     @property
     def focal(self) -> FocalDoubt: ...
     @property
+    def bend_sd(self) -> float:
+        """Relative one-sigma of the scale at its cameras over that on the ground, as far as its tracks leave open
+        whether it is bent."""
+        ...
+
+    @property
     def gps(self) -> GpsScale:
         """The scale by the GPS positions of its frames."""
         ...

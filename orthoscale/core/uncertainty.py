@@ -20,7 +20,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "GPS positions": "the receiver's errors drift, and the flight covers a limited area",
+    "GPS positions": "the receiver's errors drift, the flight covers a limited area, and the model may be bent",
     "map": "the match with the map, and what the map shows",
     "parking bays": "the width of parking bays at one place",
 }

@@ -19,7 +19,7 @@ from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
 from ..core.normal import robust_sd
 from ..core.progress import Progress
-from ..core.remarks import amount, signed
+from ..core.remarks import signed
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from ..system.threads import Threads
@@ -136,14 +136,12 @@ def _merged(found: Detections, seen: _Seen, measurer: Measurer) -> Detections:
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
         detector_sha256=measurer.sha256,
-        notes=(*found.notes, *_notes(seen, sum(map(len, aside.values())))),
+        notes=(*found.notes, *_notes(seen)),
     )
 
 
-def _notes(seen: _Seen, no_vehicles: int) -> Iterator[str]:
-    """What measuring changed, for the report. no_vehicles : number of boxes that no longer count."""
-    if no_vehicles:
-        yield amount(no_vehicles, "boxes do not count: the measurer saw no vehicle in them")
+def _notes(seen: _Seen) -> Iterator[str]:
+    """What measuring changed in the sizes, for the report, which counts the boxes set aside by itself."""
     length, width = (signed(each) for each in np.expm1(seen.too_large))
     if {length, width} != {signed(0.0)}:
         yield f"shadows make dark vehicles appear larger, by {length} in length and {width} in width: corrected"

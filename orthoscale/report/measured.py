@@ -11,7 +11,7 @@ from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
-from ..core.remarks import Remark, informing
+from ..core.remarks import SEVERITIES, Remark, informing
 from ..core.source import Source
 from ..sources.on_map import OnMap
 
@@ -38,6 +38,7 @@ class MeasuredSource:
 
     @property
     def remarks(self) -> list[Remark]:
-        """What a reader should know besides the figures, each with its severity: the remarks of the core, then notes
-        from opening the source and from finding vehicles."""
-        return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
+        """What a reader should know besides the figures, the gravest first; those of one severity in this order: of the
+        core, from opening the source, from finding vehicles."""
+        said = [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
+        return sorted(said, key=lambda remark: SEVERITIES.index(remark.severity))

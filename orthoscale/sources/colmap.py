@@ -33,7 +33,7 @@ from .database import pose_priors
 from .dense_cloud import DenseCloud
 from .dense_ground import dense_ground
 from .fingerprint import Stamp, content_hash, require_unchanged
-from .focal import focal_doubt
+from .focal import bend_sd, focal_doubt
 from .frame_check import check_frames
 from .frames import find_frames
 from .ground import Ground
@@ -159,6 +159,11 @@ class ColmapSource:
     def focal(self) -> FocalDoubt:
         """How far the focal length may be trusted."""
         return focal_doubt(self._model, self.pictures)
+
+    @cached_property
+    def bend_sd(self) -> float:
+        """How far its tracks leave open whether it is bent, see `focal.bend_sd`."""
+        return bend_sd(self._model, self.ground.up)
 
     @cached_property
     def gps(self) -> GpsScale:

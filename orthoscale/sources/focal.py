@@ -1,4 +1,4 @@
-"""How well a reconstruction's own observations determine its focal length.
+"""How well a reconstruction's own observations determine its focal length, and whether it is bent.
 
 From straight above flat ground, a longer focal length and a higher camera give the same pictures: bundle adjustment
 cannot separate them, nor determine heights, while horizontal positions on the ground are unaffected. The normal
@@ -9,6 +9,7 @@ poses and points were eliminated (Schur complement; Triggs et al., Bundle Adjust
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -109,28 +110,109 @@ def focal_sd(model: pycolmap.Reconstruction) -> float | None:
 
     All its cameras are taken for one with radial distortion, adjusted together with poses and points.
     """
-    # Ordered by names, and by the order of observations: ids of images and points differ between programs.
-    numbers = sorted(model.reg_image_ids(), key=lambda number: model.image(number).name)
-    if not numbers:
+    block = _Block.of(model)
+    if block is None:
         return None
-    rank = {number: k for k, number in enumerate(numbers)}
-    numbers = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_IMAGES).astype(int))]
-    column = {number: k for k, number in enumerate(numbers)}
-    tracks = []
-    for point in _longest_first(model.points3D.values(), rank):
-        images = {element.image_id for element in point.track.elements} & column.keys()
-        if len(images) >= 3:
-            views = sorted(images, key=rank.__getitem__)[:: -(-len(images) // MOST_VIEWS)]
-            tracks.append((np.array(point.xyz), views, max(float(point.error), LEAST_PX)))
-        if len(tracks) == MOST_TRACKS:
-            break
-    if len(tracks) < LEAST_TRACKS:
-        return None
-    poses = {number: model.image(number).cam_from_world() for number in numbers}
-    rotation = np.array([poses[number].rotation.matrix() for number in numbers])
-    shift = np.array([poses[number].translation for number in numbers])
-    focal = np.array([model.camera(model.image(number).camera_id).mean_focal_length() for number in numbers])
-    return _sd(tracks, column, rotation, shift, focal)
+    return block.sd(np.eye(block.unknowns)[-LENS_UNKNOWNS])
+
+
+def bend_sd(model: pycolmap.Reconstruction, up: np.ndarray) -> float:
+    """Relative one-sigma of the scale at the cameras of `model` over that at its points, both across `up` (3,), by its
+    tracks; 0 if there are too few of them.
+
+    A dome or bowl spreads or crowds the cameras over the points. Straight down, radial distortion makes one of a flat
+    block, and the adjustment cannot tell (James and Robson 2014, doi:10.1002/esp.3609).
+    """
+    block = _Block.of(model)
+    if block is None:
+        return 0.0
+    centres = -np.einsum("nji,nj->ni", block.rotation, block.shift)
+    places = np.array([xyz for xyz, _, _ in block.tracks])
+    (by_centre, lean), (by_point, tilt) = (_by_spread(p, up) for p in (centres, places))
+    # `up` turns with the points, or the arbitrary orientation of the model would count.
+    slope = by_point @ np.linalg.pinv(by_point.T @ by_point, rcond=HELD) * (by_point**2).sum()
+    by_point = by_point + np.outer(slope @ (tilt - lean), up)
+    by_shift = block.distance * np.einsum("nij,nj->ni", block.rotation, by_centre)
+    by_pose = np.column_stack([np.zeros_like(by_shift), by_shift])
+    return SYSTEMATIC * block.sd(np.r_[by_pose.ravel(), np.zeros(LENS_UNKNOWNS)], by_point)
+
+
+def _by_spread(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the logarithm of the spread of points (N, 3) across `up`: (N, 3) by the points, and (3,) by a tilt
+    of `up` with its sign reversed."""
+    out = points - points.mean(0)
+    height = out @ up
+    out -= height[:, None] * up
+    by_point = out / max(float((out**2).sum()), np.finfo(float).tiny)
+    return by_point, height @ by_point
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What a bundle adjustment would adjust. tracks : place, images and error [px] of each point; the images as numbers
+    of the poses: rotation (N, 3, 3), shift (N, 3). focal : (N,) [px]. distance : typical one of the cameras from the
+    origin, the unit of their shifts."""
+
+    tracks: list[tuple[np.ndarray, np.ndarray, float]]
+    rotation: np.ndarray
+    shift: np.ndarray
+    focal: np.ndarray
+    distance: float
+
+    @classmethod
+    def of(cls, model: pycolmap.Reconstruction) -> _Block | None:
+        """That of `model`, or of a part of it that is quick to adjust; None for too few tracks."""
+        # Ordered by names, and by the order of observations: ids of images and points differ between programs.
+        numbers = sorted(model.reg_image_ids(), key=lambda number: model.image(number).name)
+        if not numbers:
+            return None
+        rank = {number: k for k, number in enumerate(numbers)}
+        numbers = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_IMAGES).astype(int))]
+        column = {number: k for k, number in enumerate(numbers)}
+        tracks = []
+        for point in _longest_first(model.points3D.values(), rank):
+            images = {element.image_id for element in point.track.elements} & column.keys()
+            if len(images) >= 3:
+                views = sorted(images, key=rank.__getitem__)[:: -(-len(images) // MOST_VIEWS)]
+                where = np.array([column[number] for number in views])
+                tracks.append((np.array(point.xyz), where, max(float(point.error), LEAST_PX)))
+            if len(tracks) == MOST_TRACKS:
+                break
+        if len(tracks) < LEAST_TRACKS:
+            return None
+        poses = [model.image(number).cam_from_world() for number in numbers]
+        shift = np.array([pose.translation for pose in poses])
+        focal = np.array([model.camera(model.image(number).camera_id).mean_focal_length() for number in numbers])
+        distance = float(np.median(np.linalg.norm(shift, axis=1))) or 1.0
+        return cls(tracks, np.array([pose.rotation.matrix() for pose in poses]), shift, focal, distance)
+
+    @property
+    def unknowns(self) -> int:
+        """Of poses and lens, without the points: three of rotation and three of shift for each, then the lens."""
+        return 6 * len(self.rotation) + LENS_UNKNOWNS
+
+    def sd(self, asked: np.ndarray, of_points: np.ndarray | None = None) -> float:
+        """Formal one-sigma of a quantity with the derivatives `asked` (unknowns,), and `of_points` (tracks, 3)."""
+        asked, size = asked.copy(), self.unknowns
+        reduced = np.zeros((size, size))
+        for number, (xyz, k, error) in enumerate(self.tracks):
+            by_camera, by_point = _jacobians(xyz, self.rotation[k], self.shift[k], self.focal[k], self.distance)
+            places = (6 * k[:, None] + np.arange(6)).ravel()
+            places = np.r_[places, size - LENS_UNKNOWNS + np.arange(LENS_UNKNOWNS)]
+            whole = np.zeros((len(k), 2, 6 * len(k) + LENS_UNKNOWNS))
+            for n in range(len(k)):
+                whole[n, :, 6 * n : 6 * n + 6] = by_camera[n, :, :6]
+                whole[n, :, -LENS_UNKNOWNS:] = by_camera[n, :, 6:]
+            a, b = whole.reshape(2 * len(k), -1) / error, by_point.reshape(2 * len(k), 3) / error
+            q, r = np.linalg.qr(b)  # q spans the part of the information that the point takes up
+            left = a - q @ (q.T @ a)
+            reduced[np.ix_(places, places)] += left.T @ left
+            if of_points is not None:  # the point follows the cameras by the negative of r^-1 q^T a
+                asked[places] -= np.linalg.lstsq(r.T, of_points[number])[0] @ (q.T @ a)
+        scale = np.sqrt(np.maximum(reduced.diagonal(), 1e-300))
+        scaled = reduced / np.outer(scale, scale) + HELD * np.eye(size)
+        by_scaled = asked / scale
+        return float(np.sqrt(max(float(by_scaled @ np.linalg.solve(scaled, by_scaled)), 0.0)))
 
 
 def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:
@@ -142,36 +224,6 @@ def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) 
 
     for _, alike in groupby(sorted(points, key=lambda p: -p.track.length()), lambda p: p.track.length()):
         yield from sorted(alike, key=first_view)
-
-
-def _sd(
-    tracks: list[tuple[np.ndarray, list[int], float]],
-    column: dict[int, int],
-    rotation: np.ndarray,
-    shift: np.ndarray,
-    focal: np.ndarray,
-) -> float:
-    size = 6 * len(rotation) + LENS_UNKNOWNS
-    reduced = np.zeros((size, size))
-    distance = float(np.median(np.linalg.norm(shift, axis=1))) or 1.0
-    for xyz, images, error in tracks:
-        k = np.array([column[number] for number in images])
-        by_camera, by_point = _jacobians(xyz, rotation[k], shift[k], focal[k], distance)
-        places = (6 * k[:, None] + np.arange(6)).ravel()
-        places = np.r_[places, size - LENS_UNKNOWNS + np.arange(LENS_UNKNOWNS)]
-        whole = np.zeros((len(k), 2, 6 * len(k) + LENS_UNKNOWNS))
-        for n in range(len(k)):
-            whole[n, :, 6 * n : 6 * n + 6] = by_camera[n, :, :6]
-            whole[n, :, -LENS_UNKNOWNS:] = by_camera[n, :, 6:]
-        a, b = whole.reshape(2 * len(k), -1) / error, by_point.reshape(2 * len(k), 3) / error
-        q = np.linalg.qr(b)[0]  # the part of the information that the point takes up
-        left = a - q @ (q.T @ a)
-        reduced[np.ix_(places, places)] += left.T @ left
-    scale = np.sqrt(np.maximum(reduced.diagonal(), 1e-300))
-    scaled = reduced / np.outer(scale, scale) + HELD * np.eye(size)
-    unit = np.zeros(size)
-    unit[size - LENS_UNKNOWNS] = 1.0
-    return float(np.sqrt(max(np.linalg.solve(scaled, unit)[size - LENS_UNKNOWNS], 0.0)) / scale[size - LENS_UNKNOWNS])
 
 
 def _jacobians(

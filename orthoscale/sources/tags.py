@@ -49,7 +49,8 @@ class Tags:
 
     width, height : as stored, before any EXIF rotation [px]. full_width, full_height : of the picture that the camera
     wrote [px]; full_height is None if EXIF lacks it.
-    lon_lat : [deg]. relative_altitude : over the take-off point, by the drone [m].
+    lon_lat : [deg]. relative_altitude : over the take-off point, by the drone [m]. altitude : with the position, over
+    the sea or the ellipsoid [m].
     focal_mm : physical. focal_35mm : for the same field of view on 36 x 24 mm, by the diagonal (CIPA DCG-001).
     plane_px_per_mm : pixels of the full image per millimetre of the sensor.
     calibrated_px : the maker's calibrated focal length [px of the full image].
@@ -66,6 +67,7 @@ class Tags:
     taken: str = ""
     lon_lat: tuple[float, float] | None = None
     relative_altitude: float | None = None
+    altitude: float | None = None
     focal_mm: float | None = None
     focal_35mm: float | None = None
     plane_px_per_mm: float | None = None
@@ -152,6 +154,7 @@ def read_tags(path: Path) -> Tags:
         taken=str(exif.get(0x9003, base.get(0x0132, ""))).strip("\0 "),
         lon_lat=_lon_lat(gps),
         relative_altitude=_number(xmp.get("RelativeAltitude", xmp.get("AboveGroundAltitude"))),
+        altitude=_number(gps.get(6)),
         focal_mm=_positive(exif.get(0x920A)),
         focal_35mm=_positive(exif.get(0xA405)),
         plane_px_per_mm=resolution / unit if resolution else None,

@@ -25,15 +25,18 @@ CARS = {
 
 
 def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
-    """A grey JPEG with these tags: `xmp` attributes or elements of rdf:Description, `exif` {tag: value}."""
+    """A grey JPEG with these tags: `xmp` attributes or elements of rdf:Description, `exif` {tag: value}, `gps`
+    longitude, latitude and perhaps altitude."""
     image = Image.new("RGB", size, (120, 120, 120))
     tags = Image.Exif()
     for tag, value in dict(exif).items():
         (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
     if gps:
-        lon, lat = gps
+        lon, lat, *altitude = gps
         sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
-        tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon))})
+        tags.get_ifd(0x8825).update(
+            {**sides, 2: dms(abs(lat)), 4: dms(abs(lon)), **dict(zip([6], altitude, strict=False))}
+        )
     inner, _, elements = xmp.partition("|")
     packet = (
         '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
