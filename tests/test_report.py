@@ -280,6 +280,8 @@ def test_frames_that_were_replaced_since_are_not_drawn_with_the_boxes_of_the_for
     assert redraw(report, tmp_path / "again.html") == ""
     Image.linear_gradient("L").resize((800, 600)).save(frame)
     assert redraw(report, tmp_path / "changed.html") == "frames have changed since: DJI_0054.jpg"
+    with pytest.raises(UsageError, match="its frames have changed since: DJI_0054.jpg"):
+        is_finished(tmp_path / "sparse", tmp_path / "scaled", FixRequest.of({**options, "report": "json"}))
     former = json.loads(report.read_text())
     del former["frame_bytes"]
     (tmp_path / "scaled/former.json").write_text(json.dumps(former))

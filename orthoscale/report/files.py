@@ -10,12 +10,11 @@ from typing import Any
 
 from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
-from ..formats.names import first_few
 from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs
 from ..system.signatures import ours_in_a_folder
-from .document import frame_bytes, of_plan, read_json, write_json
+from .document import of_plan, read_json, replaced_frames, write_json
 from .page import page
 from .pictures import draw
 from .result import Result
@@ -99,18 +98,11 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
         for each in clouds:
             source = open_source(found, images, need_images=False, ground_cloud=each)
             if source.content_hash() == report["input"]["sha256"]:
-                return _with_its_frames(source, report.get("frame_bytes") or {})
+                why = replaced_frames(report, source)
+                return (None, why) if why else (source, "")
     except OrthoscaleError as error:
         return None, error.message
     return None, f"{found}{', or the dense cloud of its ground,' * (not of_plan(report))} has changed since"
-
-
-def _with_its_frames(source: Source, known: Mapping[str, int]) -> tuple[Source | None, str]:
-    """`source` and '', or None and why: the frames lack the sizes [byte] that are `known` from its measurement."""
-    others = [name for name, size in frame_bytes(source).items() if known.get(name, size) != size]
-    if not others:
-        return source, ""
-    return None, f"frames have changed since: {first_few(others)}"
 
 
 def _there(name: str, starts: Sequence[Path]) -> Path | None:
