@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from test_dense_ground import write_cloud
 from orthoscale.actions.apply import apply
 from orthoscale.errors import InputError
 from orthoscale.formats.geometry.dense import visibility_fault
+from orthoscale.formats.geometry.records import GAUSSIAN
 from orthoscale.sources.cloud_fit import cloud_fit
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.dense_cloud import check_workspace
@@ -169,6 +171,42 @@ def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace,
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "metric/sim3.json", tmp_path / "alone")
     assert not apply(tmp_path / "alone/sim3.json", paths["other"], tmp_path / "again")[tmp_path / "again/other.ply"]
+
+
+def written(path, points):
+    """`points` at `path`, in the format of its ending."""
+    if path.suffix == ".las":
+        head = bytearray(375)
+        head[:4], head[24:26], head[104] = b"LASF", b"\1\4", 6
+        struct.pack_into("<H", head, 94, 375)
+        struct.pack_into("<I", head, 96, 375)
+        struct.pack_into("<HI", head, 105, 30, 0)
+        struct.pack_into("<6d", head, 131, *[1e-4] * 3, *points[0])
+        struct.pack_into("<Q", head, 247, len(points))
+        rows = np.zeros(len(points), np.dtype({"names": ["xyz"], "formats": ["3<i4"], "itemsize": 30}))
+        rows["xyz"] = np.round((points - points[0]) / 1e-4)
+        path.write_bytes(bytes(head) + rows.tobytes() + b"more records, after the points")
+    elif path.suffix == ".splat":
+        rows = np.zeros(len(points), GAUSSIAN)
+        rows["length"][:, :3] = points
+        path.write_bytes(rows.tobytes())
+    else:
+        first, before, between = ("", "v ", " ") if path.suffix == ".obj" else ("range,x,y,z\n", "0.5,", ",")
+        lines = (before + between.join(f"{value:.5f}" for value in point) + "\n" for point in points)
+        path.write_text(first + "".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("ending", ["las", "obj", "splat", "xyz"])
+def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path, ending):
+    """Of PLY alone it was said: a mesh of another model got this one's scale, and nothing told so."""
+    folder, cloud = workspace
+    (tmp_path / "metric").mkdir()
+    ColmapSource.open(folder, need_images=False).write(tmp_path / "metric", 2.5)
+    own, other = (written(tmp_path / f"{k}.{ending}", cloud[::4] + 40 * k) for k in range(2))
+    said = apply(tmp_path / "metric/sim3.json", [own, other], tmp_path / "out")
+    told = [any("does not lie on the sparse points" in note for note in notes) for notes in said.values()]
+    assert told == [False, True]
 
 
 @pytest.mark.parametrize("what", ["points", "centres"])

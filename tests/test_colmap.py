@@ -867,6 +867,12 @@ def test_forged_values(model_bin, what):
         assert "00.png" in error.message or "image 1" in error.message
 
 
+def test_a_lone_spherical_camera_is_no_damage(model_bin):
+    """Its record is the shortest, with two parameters: the file was called damaged."""
+    (model_bin / "cameras.bin").write_bytes(struct.pack("<QIiQQ2d", 1, 1, 17, 640, 320, 640, 320))
+    assert "spherical (EQUIRECTANGULAR)" in refused(model_bin).message
+
+
 @pytest.mark.parametrize("form", ["bin", "txt"])
 @pytest.mark.parametrize("stored", [1.3e154, -1.0])
 def test_the_error_of_a_point_may_be_any_number(plain, tmp_path, form, stored):

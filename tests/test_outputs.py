@@ -22,7 +22,8 @@ from support.pictures import squares
 
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
-from orthoscale.core.claims import own_claim
+from orthoscale.actions.many import run_many
+from orthoscale.core.claims import OF_A_COPY, own_claim
 from orthoscale.core.detections import Swept, Tile
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.remarks import CAUTION, INFO, SEVERITIES, Remark
@@ -35,6 +36,7 @@ from orthoscale.report.document import pixel_size
 from orthoscale.report.extras import write_tiles
 from orthoscale.report.geo import outlines, table
 from orthoscale.report.pictures import REJECTED_RGB, USED_RGB
+from orthoscale.requests import EstimateRequest
 from orthoscale.sources.raster import RasterSource
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul")
@@ -236,8 +238,11 @@ def test_the_copy_says_how_well_its_scale_is_known(everything, boxes):
 
 def test_that_a_copy_agrees_with_its_own_scale_is_no_confirmation(everything, boxes):
     """`check` said that it agrees, at 0.0 sigma, and nothing else where the copy kept its place."""
-    said = [r.text for r in orthoscale.check(everything[0] / "out.tif", detections=boxes, fleet="DE").result.remarks]
+    copy = everything[0] / "out.tif"
+    said = [r.text for r in orthoscale.check(copy, detections=boxes, fleet="DE").result.remarks]
     assert any("agreement with vehicles does not confirm" in text for text in said)
+    (row,) = run_many("check", [copy], EstimateRequest(detections=boxes, fleet="DE"))
+    assert row["claim"] == OF_A_COPY, "many inputs have a table, and no remarks"
     said = [r.text for r in everything[1].remarks]
     assert not any("does not confirm" in text for text in said)
 

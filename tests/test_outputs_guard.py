@@ -997,3 +997,17 @@ def test_unreadable_inputs_are_exit_code_5(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_, **__: False)  # root may read everything
     done = run("estimate", MODEL, "--detections", tmp_path / "boxes.json")
     assert done.returncode == 5 and "Usage" not in done.stderr
+
+
+def test_what_is_in_the_way_in_an_output_within_another_is_named_itself(tmp_path):
+    """A file that the user put into one of a workspace's models: it was a file of that model, which is orthoscale's."""
+    write_folder(tmp_path / "out", ("a", "b"))
+    write_folder(tmp_path / "out/inner", ("a", "b"))
+    (tmp_path / "out/inner/mine").touch()
+    before = state(tmp_path)
+    with pytest.raises(UsageError, match="out holds inner/mine, which orthoscale did not write"):
+        write_folder(tmp_path / "out", overwrite=True)
+    assert state(tmp_path) == before
+    (tmp_path / "out/inner/mine").unlink()
+    write_folder(tmp_path / "out", overwrite=True)
+    assert names(tmp_path / "out") == [FOLDER_MARK, "x"]

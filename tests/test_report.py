@@ -267,6 +267,27 @@ def test_a_dense_cloud_made_since_does_not_change_the_model_of_a_report(tmp_path
         is_finished(work / "sparse/0", tmp_path / "scaled", FixRequest.of(options))
 
 
+def test_frames_that_were_replaced_since_are_not_drawn_with_the_boxes_of_the_former(tmp_path):
+    """The hash of a model is that of its own files: boxes were drawn on other pictures, and nothing was said."""
+    shutil.copytree(EXAMPLE / "sparse", tmp_path / "sparse")
+    (tmp_path / "images").mkdir()
+    frame = tmp_path / "images/DJI_0054.jpg"
+    Image.new("RGB", (800, 600)).save(frame)
+    options = {"fleet": "US", "mode": "oblique", "detections": EXAMPLE / "detections.json", "anchors": ["none"]}
+    orthoscale.fix(tmp_path / "sparse", tmp_path / "scaled", **options, report="json")
+    report = tmp_path / "scaled/report.json"
+    os.utime(frame, (0, 0))  # a copy may have another time
+    assert redraw(report, tmp_path / "again.html") == ""
+    Image.linear_gradient("L").resize((800, 600)).save(frame)
+    assert redraw(report, tmp_path / "changed.html") == "frames have changed since: DJI_0054.jpg"
+    with pytest.raises(UsageError, match="its frames have changed since: DJI_0054.jpg"):
+        is_finished(tmp_path / "sparse", tmp_path / "scaled", FixRequest.of({**options, "report": "json"}))
+    former = json.loads(report.read_text())
+    del former["frame_bytes"]
+    (tmp_path / "scaled/former.json").write_text(json.dumps(former))
+    assert redraw(tmp_path / "scaled/former.json", tmp_path / "former.html") == "", "that nobody knows"
+
+
 def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):
     with pytest.raises(UsageError, match=r"a\.pdf: .* page or a picture"):
         redraw(park[0] / "scaled.tif.json", tmp_path / "a.pdf")

@@ -262,6 +262,14 @@ def test_a_bad_option_is_refused_before_anything_is_read(options, says):
         orthoscale.fix("there/is/no/such.tif", "out.tif", **options)
 
 
+@pytest.mark.parametrize("command", ["estimate", "check", "fix", "anchors"])
+def test_an_unknown_fleet_is_refused_before_the_input_is_opened(command, tmp_path):
+    """`fix` and `check` opened it first, which takes long for a large model."""
+    more = ["--out", tmp_path / "out.tif"] if command == "fix" else []
+    done = run(command, tmp_path / "no_such.tif", "--fleet", "Absurdistan", *more)
+    assert done.returncode == 2 and "no fleet is called 'Absurdistan'" in done.stderr
+
+
 def test_a_value_of_any_length_is_named_in_short():
     with pytest.raises(UsageError, match=r"--fleet takes a text, not Fleet\(code='US'") as caught:
         EstimateRequest(fleet=orthoscale.load_fleet("US"))

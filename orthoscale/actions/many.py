@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..core.claims import own_claim
+from ..core.claims import own_claim, verdict_on
 from ..core.source import Source
 from ..detect.workers import MOST_THREADS, cores
 from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, shown
@@ -145,7 +145,7 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     outcome = checked(path, request)
     _fill_by_result(row, outcome.result)
     for claim in outcome.comparisons:
-        row |= {"claimed": claim.claimed, "claim": claim.verdict}
+        row |= {"claimed": claim.claimed, "claim": verdict_on(outcome.result.source, claim.verdict)}
     outcome.require_agreement()
 
 
@@ -157,7 +157,7 @@ def _fill(row: Row, report: Mapping[str, Any], source: Source) -> None:
         "low90": report["interval90"][0],
         "high90": report["interval90"][1],
         "claimed": claim and claim["claimed"],
-        "claim": claim and claim["verdict"],
+        "claim": claim and verdict_on(source, claim["verdict"]),
         "longitude": place and place.longitude,
         "latitude": place and place.latitude,
     }

@@ -48,10 +48,11 @@ class Opened:
 def source_of(
     path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
 ) -> Source:
-    """The input at `path`, opened as `request` says; a source is returned as it is. progress : for reading its dense
-    cloud. Raises InputError, UsageError."""
+    """The input at `path`, opened as `request` says, after its fleet was found to be one: an input may be large. A
+    source is returned as it is. progress : for reading its dense cloud. Raises InputError, UsageError."""
     if not isinstance(path, (str, Path)) and hasattr(path, "posed"):  # isinstance would read all that a source offers
         return path
+    named_fleet(request.fleet, None)
     return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
 
 

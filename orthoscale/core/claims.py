@@ -22,6 +22,7 @@ METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 NEARLY_METRIC = 0.1
 BY_ORTHOSCALE = "orthoscale wrote it"  # begins what a model says that counts as metric because it is a copy by `fix`
 NO_PROOF = "orthoscale gave it its scale: agreement with vehicles does not confirm it"
+OF_A_COPY = "agrees, but orthoscale gave it"  # verdict on such a claim, where there is no room for that sentence
 NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] units with which a claim without a unit is compared
 # Factors (truth over claim) and the mistakes that cause them. A ratio close to one of them is a hint, no proof.
@@ -193,6 +194,16 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
         f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a copy is still scaled by {value:.3f}"
     )
     return (Remark(INFO, text),)
+
+
+def by_orthoscale(source: Source) -> bool:
+    """Whether `source` says that orthoscale gave it its scale."""
+    return source.metric_already.startswith(BY_ORTHOSCALE) or any(NO_PROOF in note.text for note in source.notes)
+
+
+def verdict_on(source: Source, verdict: str) -> str:
+    """The `verdict` of a `Comparison` on the claim of `source`, which says so where agreement proves nothing."""
+    return OF_A_COPY if verdict == "agrees" and by_orthoscale(source) else verdict
 
 
 def _nearly_metric(scale: Scale) -> bool:

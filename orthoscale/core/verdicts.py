@@ -17,6 +17,7 @@ FIT = {  # verdict: what the scale is fit for
 }
 AT_BEST_DOUBTED = "fair"  # if a measurement does not fit the rest: one of them is wrong, but it is not known which
 CHECK_LIMIT = 2.5  # sigmas between length and width above which the verdict is lowered
+TOO_SMALL, TOO_LARGE = "too small for a car", "too large for a car"  # reasons for which a vote does not count
 SHAPE_LIMIT = 4.0  # sigmas between them above which no output is written unless it is forced
 
 
@@ -67,5 +68,5 @@ def reasons(
         elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
             out[index] = "wrong shape for a car"
         else:
-            out[index] = "too small for a car" if d_length + d_width < 0 else "too large for a car"
+            out[index] = TOO_SMALL if d_length + d_width < 0 else TOO_LARGE
     return out

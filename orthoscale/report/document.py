@@ -23,10 +23,12 @@ from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
 from ..core.remarks import CAUTION, INFO
 from ..core.scale import PER_PIXEL, Scale
+from ..core.source import FilePicture, Source
 from ..core.verdicts import FIT
 from ..errors import InputError, shown
-from ..formats.names import each_text, json_in_utf8, out_of_utf8
+from ..formats.names import each_text, first_few, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
+from ..sources.fingerprint import Stamp
 from ..version import __version__
 from .anchors import entries
 from .measured import MeasuredSource
@@ -68,6 +70,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("calibration", "trends"): None,
     ("input", "folder"): "",
     ("input", "kind"): "",
+    ("frame_bytes",): {},
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",
@@ -126,12 +129,20 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         },
         "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
+        "frame_bytes": _frame_bytes(source),
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
         "seconds": round(of.seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }
+
+
+def _frame_bytes(source: Source) -> dict[str, int]:
+    """The size [byte] of each frame of a reconstruction, which its hash does not cover: another picture has another
+    size. Raises InputError."""
+    files = () if source.posed is None else (p for p in source.pictures if isinstance(p, FilePicture))
+    return {picture.name: Stamp.of(picture.path).size for picture in files}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
@@ -269,6 +280,14 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         },
         "drifts": drift.drifts,
     }
+
+
+def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
+    """Says which frames of `source` are others than those that its `report` was made of; '' if none are. Raises
+    InputError."""
+    known = report.get("frame_bytes") or {}  # not in reports of older versions
+    others = [name for name, size in _frame_bytes(source).items() if known.get(name, size) != size]
+    return f"frames have changed since: {first_few(others)}" if others else ""
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:

@@ -41,7 +41,7 @@ COLUMNS = {
     "vehicles_used": "the scale rests on these",
     "fleet": "code of the fleet",
     "claimed": "scale that the input claims [m/px, m per unit of a model, or of no unit]",
-    "claim": "agrees, doubtful, disagrees or has no unit",
+    "claim": "agrees, doubtful, disagrees or has no unit; or that orthoscale itself gave what agrees",
     "output": "where the scaled copy is",
     "longitude": "of its middle [degrees, WGS 84]",
     "latitude": "of its middle [degrees, WGS 84]",

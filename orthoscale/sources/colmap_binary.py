@@ -98,7 +98,7 @@ def read_binary(paths: dict[str, Path]) -> Tables:
 
 
 def _binary_cameras(file: _Bytes, tables: Tables) -> None:
-    for _ in range(file.count(48, "cameras")):
+    for _ in range(file.count(40, "cameras")):  # the least has a spherical one, with two parameters
         where = file.where
         camera, model, width, height = file.take("IiQQ", "a camera")
         if model not in CAMERA_MODELS:

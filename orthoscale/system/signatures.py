@@ -15,6 +15,7 @@ import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 
 from ..version import __version__
@@ -66,7 +67,16 @@ def _why_not_our_folder(folder: Path) -> str:
     files = _listed(folder)
     if files is None:
         return "was not written by orthoscale under this name"
-    strangers = (name for name in _files_in(folder) if name not in files and not ours(folder / name))
+    listed = cache(_listed)
+
+    def in_an_output(name: str) -> bool:
+        """Whether it is of an output in `folder`, which lists it."""
+        path = folder / name
+        outputs = [(home, listed(home)) for home in path.parents[: name.count("/")]]
+        return any(path.relative_to(home).as_posix() in (FOLDER_MARK, *each) for home, each in outputs if each)
+
+    others = (name for name in _files_in(folder) if name not in files and not ours(folder / name))
+    strangers = (name for name in others if not in_an_output(name))
     stranger = next(strangers, "")
     return f"holds {stranger}, which orthoscale did not write" if stranger else ""
 

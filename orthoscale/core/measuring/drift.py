@@ -102,7 +102,7 @@ class Drift(Trend):
             found.append(f"grows by {100 * self.tilt:.1f} % towards the {names[octant]} (p = {self.p_tilt:.1g})")
         if self.bends:
             found.append(f"is bent by {100 * self.bend:.1f} % (p = {self.p_bend:.1g})")
-        why = "the orthophoto may be tilted or bent, or its vehicles differ from place to place"
+        why = "the orthophoto may be tilted, bent or put together, or its vehicles differ from place to place"
         return [f"the scale {' and '.join(found)}: {why}"] if found else []
 
 

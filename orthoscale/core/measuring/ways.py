@@ -27,6 +27,7 @@ from .measurement import Measurement
 from .method import Method
 from .oblique import FramesGeometry, card_of, shown_in_frames
 from .parts import Parts, found_in
+from .patches import other_size
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 from .plausibility import plausible
@@ -45,7 +46,8 @@ def measure_source(
         measured = measure(PlanGeometry.of(source, found), fleet, method)
         uncounted, searched = sum(doubts(found).values()), found.zoom_choice is not None
         scale = plausible(measured.scale, measured.boxes, uncounted, source.claimed.aspect, searched)
-        return _of_one_scale(replace(measured, scale=scale))
+        measured = replace(measured, scale=scale)
+        return _of_one_scale(measured, *other_size(measured.vehicles))
     return measure_posed(source, found, fleet, method or Method(), mode)
 
 
@@ -155,9 +157,10 @@ def _by_vehicles(
     return replace(scale, used=first.scale.used, reasons=first.scale.reasons, checks=checks)
 
 
-def _of_one_scale(measured: Measurement) -> Measurement:
+def _of_one_scale(measured: Measurement, stray: float = 0.0, said: str = "") -> Measurement:
     """`measured`, with the drift of its scale as a part of the uncertainty: the scale at one place is less certain than
-    the mean."""
-    if measured.drift is None:
-        return measured
-    return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
+    the mean. stray, said : of `patches.other_size`, which is like a drift."""
+    drift = measured.drift
+    amplitude, warnings = (0.0, []) if drift is None else (drift.amplitude, drift.warnings)
+    warnings = [*warnings, said] if said else warnings
+    return replace(measured, scale=with_drift(measured.scale, float(np.hypot(amplitude, stray)), warnings))

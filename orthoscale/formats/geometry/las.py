@@ -10,14 +10,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from ...errors import InputError, UsageError, shown
 from ..reading import EXPORT_ANEW
 from .mark import MARK, refuse_marked
+from .ply import ROWS
 from .properties import left_as_they_are
 
 # Offsets in the header [bytes].
 SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, HEADER_LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
-LEAST_HEADER = 227  # [bytes] smallest size of a header
+LEAST_HEADER, WHOLE_HEADER = 227, 375  # [bytes] smallest size of a header, and largest
+POINTS_AT, COUNT, COMPRESSED = 96, 247, 0xC0  # where the points begin; 64 bits of their number; LAZ in their format
 DOUBLES = 12  # numbers from HEADER_LENGTHS on: factors and offsets by axis, then largest and smallest coordinates
 WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
 PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
@@ -59,6 +63,27 @@ def scale_las(source: Path, target: Path, scale: float) -> list[str]:
             out.write(head)
             shutil.copyfileobj(file, out, 1 << 20)
     return left_as_they_are(extra, scale)
+
+
+def points_in_las(path: Path) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the points of the LAS file `path`; none of LAZ, where they are compressed. Raises ValueError,
+    struct.error for a damaged one."""
+    with path.open("rb") as file:
+        head = file.read(WHOLE_HEADER)
+        (start,) = struct.unpack_from("<I", head, POINTS_AT)
+        form, length, count = struct.unpack_from("<BHI", head, POINT_FORMAT)
+        if not count and len(head) == WHOLE_HEADER:  # more than 32 bits can count
+            (count,) = struct.unpack_from("<Q", head, COUNT)
+        if form & COMPRESSED:
+            return
+        factor, offset = np.frombuffer(head, "<f8", 6, HEADER_LENGTHS).reshape(2, 3)
+        row = np.dtype({"names": ["xyz"], "formats": ["3<i4"], "itemsize": length})
+        file.seek(start)
+        while count > 0 and (block := file.read(min(ROWS, count) * length)):
+            with np.errstate(all="ignore"):  # a damaged header's infinities
+                points = np.frombuffer(block, row)["xyz"] * factor + offset
+            yield points
+            count -= ROWS
 
 
 def _extra_decimals(content: bytes) -> list[str]:

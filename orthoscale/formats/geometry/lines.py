@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,31 +28,56 @@ def scale_points(source: Path, target: Path, scale: float) -> list[str]:
     """Write the points in `source`, one per line, to `target` in metres; returns notes for the user. Their coordinates
     are the first three numbers of a line, or the columns x, y and z of a header line. Raises InputError, also if the
     first column seems to number the points."""
-    columns, count, numbered = [0, 1, 2], 0, True
-    names: list[str] = []
-    separator: bytes | None = None
+    count, numbered, columns = 0, True, _Columns()
     with source.open("rb") as file, target.open("wb") as out:
-        for number, line in enumerate(file, 1):
-            words, between = _words(line, separator)
-            if count == 0 and words and set(COORDINATES) <= set(named := _named(words)):
-                names, separator, numbered = named, between, False
-                columns = [names.index(axis) for axis in COORDINATES]
+        for number, line, words, columns in _lines(file):
+            if not words:
                 out.write(line)
-            elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
-                out.write(line)  # PTS counts its points
             else:
-                separator = between
-                numbered = numbered and _is_numbered(words, count)
+                numbered = numbered and not columns.names and _is_numbered(words, count)
                 count += 1
                 if numbered and count == SURELY:
                     raise InputError(
                         f"{source}: its first column seems to number the points",
                         "Name the columns in a first line (ID X Y Z ...), or leave the numbers out.",
                     )
-                out.write(_scaled(f"{source}, line {number}", words, columns, scale, separator))
+                place = f"{source}, line {number}"
+                out.write(_scaled(place, words, columns.coordinates, scale, columns.separator))
     if not count:
         raise InputError(f"{source}: no points in it", EXPORT_ANEW)
-    return left_as_they_are([name for name in names if name not in COORDINATES], scale)
+    return left_as_they_are([name for name in columns.names if name not in COORDINATES], scale)
+
+
+def points_in_lines(path: Path) -> Iterator[list[float]]:
+    """The points in the file `path`, one per line. Raises ValueError, IndexError for a malformed one."""
+    with path.open("rb") as file:
+        for _, _, words, columns in _lines(file):
+            if words:
+                yield [float(words[k]) for k in columns.coordinates]
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Numbers of the columns x, y and z; names of all, if there is a line of them; what separates them, None for
+    blanks."""
+
+    coordinates: Sequence[int] = (0, 1, 2)
+    names: Sequence[str] = ()
+    separator: bytes | None = None
+
+
+def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes, list[bytes], _Columns]]:
+    """Each line with its number, its words if it is a point (else none), and the columns."""
+    columns, begun = _Columns(), False
+    for number, line in enumerate(file, 1):
+        words, between = _words(line, columns.separator)
+        if not begun and words and set(COORDINATES) <= set(named := _named(words)):
+            columns, words = _Columns([named.index(axis) for axis in COORDINATES], named, between), []
+        elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
+            words = []  # PTS counts its points
+        else:
+            columns, begun = replace(columns, separator=between), True
+        yield number, line, words, columns
 
 
 def scale_off(source: Path, target: Path, scale: float) -> None:

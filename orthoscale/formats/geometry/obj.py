@@ -53,6 +53,15 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
     return files
 
 
+def vertices_of_obj(path: Path) -> Iterator[list[float]]:
+    """The vertices of the OBJ file `path`. Raises ValueError for a malformed one."""
+    with path.open("rb") as file:
+        for _, line in _statements(file):
+            words = GOES_ON.sub(b" ", line).split()
+            if words[:1] == [b"v"]:
+                yield [float(word) for word in words[1:4]]
+
+
 def _statements(file: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
     """Each statement of a file with the number of its first line. A backslash at the end of a line continues it, except
     in comments, which may end with a Windows path."""

@@ -6,6 +6,7 @@ bytes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,13 @@ def scale_splat(source: Path, target: Path, scale: float) -> None:
             f"{source}: {size} bytes are not a whole number of splats of {GAUSSIAN.itemsize} bytes each", EXPORT_ANEW
         )
     _scale(source, target, scale, 0, GAUSSIAN)
+
+
+def centres_of_splat(path: Path) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the Gaussians' centres in the .splat file `path`. Raises ValueError for one that was cut off."""
+    with path.open("rb") as file:
+        while block := file.read(ROWS * GAUSSIAN.itemsize):
+            yield np.frombuffer(block, GAUSSIAN)["length"][:, :3].astype(float)
 
 
 def _scale(source: Path, target: Path, scale: float, head: int, row: np.dtype) -> None:
