@@ -1,12 +1,13 @@
 """The whole program on every real scene of known scale, with two fleets.
 
     python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
-                                [--quarters | --chips]
+                                [--quarters | --sixteenths | --chips]
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
 once on each and the boxes are kept there. MEASURER is as for ``orthoscale --measurer``, `none` for the detector's boxes
 alone. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5;
-the other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground.
+the other four had (README). ``--quarters``, ``--sixteenths``: each orthophoto in four or 16 parts, small places of the
+same ground.
 ``--chips``: American places made of the chips, twelve of one kind each; the finder was trained on them. Coverage comes
 with its own 90 % interval (Clopper and Pearson 1934).
 
@@ -88,17 +89,17 @@ def called(every: list[Scene], names: str) -> list[Scene]:
     return [scene for scene in every if not asked or scene.name in asked]
 
 
-def quarters(some: list[Scene], folder: Path) -> list[Scene]:
-    """The four quarters of each orthophoto as files in `folder`, without georeferencing."""
+def parts_of(some: list[Scene], folder: Path, across: int) -> list[Scene]:
+    """Each orthophoto in `across` x `across` parts, as files in `folder`, without georeferencing."""
     parts = []
     for scene in some:
         if scene.path.is_dir():
             continue
         pixels = cv2.imread(str(scene.path))
-        height, width = pixels.shape[0] // 2, pixels.shape[1] // 2
-        for k in range(4):
+        height, width = pixels.shape[0] // across, pixels.shape[1] // across
+        for k in range(across**2):
             path = folder / f"{scene.name}_{k}.png"
-            y, x = k // 2 * height, k % 2 * width
+            y, x = k // across * height, k % across * width
             cv2.imwrite(str(path), pixels[y : y + height, x : x + width])
             parts.append(replace(scene, path=path))
     return parts
@@ -222,12 +223,14 @@ if __name__ == "__main__":
     parser.add_argument("--measurer")
     parser.add_argument("--scenes", default="", help="comma separated; all by default")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--quarters", action="store_true", help="of the orthophotos, each by itself")
+    for name, across in {"quarters": 2, "sixteenths": 4}.items():
+        help_text = "of the orthophotos, each by itself"
+        which.add_argument(f"--{name}", dest="across", action="store_const", const=across, help=help_text)
     which.add_argument("--chips", action="store_true", help="American places made of the chips")
     options = parser.parse_args()
     networks = {"detector": options.detector, "measurer": options.measurer}
     with tempfile.TemporaryDirectory() as scratch:
         asked = called(of_chips(Path(scratch)) if options.chips else scenes(), options.scenes)
-        if options.quarters:
-            asked = quarters(asked, Path(scratch))
+        if options.across:
+            asked = parts_of(asked, Path(scratch), options.across)
         main(asked, options.boxes or Path(scratch), **networks)
