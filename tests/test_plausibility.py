@@ -11,13 +11,14 @@ import pytest
 from support.drawings import car_park
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections, ZoomChoice
+from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.plausibility import alignment, if_confirmed, standing_in_another
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.remarks import CAUTION, REFUSAL
 from orthoscale.core.verdicts import UNUSABLE, one_step_below
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import load_detections, save_detections
 
 DE = load_fleet("DE")
 
@@ -172,22 +173,21 @@ def test_neighbours_agree_where_they_are_parallel_or_across(turn, agreement):
     assert pairs == 20 and found == pytest.approx(agreement, abs=1e-9)
 
 
-SEARCHED = ZoomChoice(1.0, 45.0, 9.0, None, 0.0, [], one_scale=True)
 CAR, VAN = [0.9, 0.0, 0.1, 0.0], [0.1, 0.0, 0.9, 0.0]
 
 
 @pytest.mark.parametrize(
-    "factor, others, kind, choice, refused",
+    "factor, others, kind, given, refused",
     [
-        (2.2, 4, CAR, SEARCHED, True),
-        (0.4, 4, CAR, SEARCHED, True),
-        (2.2, 3, CAR, SEARCHED, False),  # of ten: two boxed as one now and then
-        (2.2, 4, VAN, SEARCHED, False),  # lorries
-        (2.2, 4, [np.nan] * 4, SEARCHED, False),
-        (2.2, 4, CAR, None, False),  # the user says how large vehicles are
+        (2.2, 4, CAR, False, True),
+        (0.4, 4, CAR, False, True),
+        (2.2, 3, CAR, False, False),  # of ten: two boxed as one now and then
+        (2.2, 4, VAN, False, False),  # lorries
+        (2.2, 4, [np.nan] * 4, False, False),
+        (2.2, 4, CAR, True, False),  # the user says how large vehicles are
     ],
 )
-def test_cars_of_another_size_are_another_reading(factor, others, kind, choice, refused):
+def test_cars_of_another_size_are_another_reading(tmp_path, factor, others, kind, given, refused):
     """Four pairs of lamps and a hatch gave 2.3 times the scale of the three cars beside them, and it was fair."""
     park = car_park(45, 2000, 2000, 10)
     strange = park[:others].mapped(1.0, (0.0, 800.0))
@@ -196,8 +196,9 @@ def test_cars_of_another_size_are_another_reading(factor, others, kind, choice, 
     boxes = Boxes(rows, np.full(len(rows), 0.9), kinds=kinds)
     plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
-    found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", zoom_choice=choice)
-    measured = measure_source(plan, found, DE)
+    found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", zoom_given=given)
+    save_detections(found, tmp_path / "boxes.json")
+    measured = measure_source(plan, load_detections(tmp_path / "boxes.json"), DE)
     assert measured.scale.vehicles_used == len(park)
     said = [remark for remark in measured.remarks if "look like cars" in remark.text]
     assert [(r.severity, bool(r.hint)) for r in said] == [(REFUSAL, True)] * refused

@@ -92,7 +92,8 @@ class Detections:
     sizes : width and height of the pictures on which the boxes were made [px], where they are known.
     body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     swept : which tiles were processed; None for boxes from a file.
-    zoom_choice : how `zoom` was searched for; None if it was given.
+    zoom_choice : how `zoom` was searched for; None if it was given, or if boxes are from a file.
+    zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are.
 
     `orthoscale.formats.detections` reads and writes files of them.
     """
@@ -113,6 +114,7 @@ class Detections:
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     undercut: tuple[float, float] = (0.0, 0.0)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    zoom_given: bool = False
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))

@@ -69,7 +69,7 @@ def find_vehicles(
     if len(pictures) == 1:
         # Not for frames: their distances vary, so vehicles have several lengths, and distant ones are seldom confirmed.
         found = _without(found, WHY_SELDOM, seldom_confirmed)
-    return replace(found, zoom_choice=choice)
+    return replace(found, zoom_choice=choice, zoom_given=choice is None)
 
 
 @dataclass(frozen=True)

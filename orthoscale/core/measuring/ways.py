@@ -44,8 +44,8 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source, found), fleet, method)
-        uncounted, searched = sum(doubts(found).values()), found.zoom_choice is not None
-        scale = plausible(measured.scale, measured.boxes, uncounted, source.claimed.aspect, searched)
+        uncounted, aspect = sum(doubts(found).values()), source.claimed.aspect
+        scale = plausible(measured.scale, measured.boxes, uncounted, aspect, not found.zoom_given)
         measured = replace(measured, scale=scale)
         return _of_one_scale(measured, *other_size(measured.vehicles))
     return measure_posed(source, found, fleet, method or Method(), mode)

@@ -105,6 +105,7 @@ def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detection
         body=entry.body,
         set_aside={why: _vehicles(pictures) for why, pictures in entry.set_aside.items()},
         sizes=entry.picture_sizes,
+        zoom_given=entry.zoom_given,
     )
 
 
@@ -128,6 +129,8 @@ def _rest(found: Detections) -> dict[str, Any]:
         rest["planar"] = _document(found.planar)
     if found.sizes:
         rest["picture_sizes"] = {name: list(size) for name, size in found.sizes.items()}
+    if found.zoom_given:
+        rest["zoom_given"] = True
     return rest
 
 

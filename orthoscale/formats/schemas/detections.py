@@ -44,6 +44,7 @@ class NoteEntry(Struct, kw_only=True):
     objects: BoxesByPicture = {}
     planar: DetectionsEntry | None = None
     picture_sizes: dict[Text, tuple[Size, Size]] = {}
+    zoom_given: bool = False
 
     def __post_init__(self) -> None:
         check_body(self.body)
