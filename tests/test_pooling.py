@@ -282,6 +282,8 @@ def some_of(votes, index):
         views=votes.views[index],
         place=votes.place[index],
         score=votes.score[index],
+        sigma=votes.sigma[index],
+        kinds=votes.kinds[index],
         members=[votes.members[k] for k in index],
     )
 

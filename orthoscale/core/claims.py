@@ -22,7 +22,7 @@ METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 NEARLY_METRIC = 0.1
 BY_ORTHOSCALE = "orthoscale wrote it"  # begins what a model says that counts as metric because it is a copy by `fix`
 NO_PROOF = "orthoscale gave it its scale: agreement with vehicles does not confirm it"
-OF_A_COPY = "agrees, but orthoscale gave it"  # verdict on such a claim, where there is no room for that sentence
+OF_A_COPY = "agrees (orthoscale gave it)"  # verdict on such a claim, where there is no room for that sentence
 NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] units with which a claim without a unit is compared
 # Factors (truth over claim) and the mistakes that cause them. A ratio close to one of them is a hint, no proof.

@@ -116,7 +116,7 @@ def test_a_gis_analyst(desk):
     check = next(each for each in commands("howto/many.md") if " check " in each)
     desk(f"{check} --fleet DE", code=5)
     rows = {Path(line.split(",")[0]).name: line for line in (desk.place / "claims.csv").read_text().splitlines()[1:]}
-    assert ",agrees," in rows["right.tif"] and ",disagrees," in rows["wrong.tif"]
+    assert ",agrees (orthoscale gave it)," in rows["right.tif"] and ",disagrees," in rows["wrong.tif"]
     assert rows["broken.tif"].split(",")[1] == "5"
 
 
