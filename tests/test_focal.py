@@ -28,6 +28,23 @@ def block(scene, tmp_path, pitch):
     return pycolmap.Reconstruction(str(tmp_path / "sparse"))
 
 
+def noisy_block(scene, tmp_path, pitch, seed):
+    """A small one, whose observations err by 0.6 px."""
+    write_colmap(scene, tmp_path, 3.0, 8, pitch, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False)
+    return pycolmap.Reconstruction(str(tmp_path / "sparse"))
+
+
+def adjust(model):
+    """Bundle adjustment of `model` in place, its lens with radial distortion."""
+    camera = model.cameras[1]
+    model.cameras[1] = pycolmap.Camera(
+        camera_id=1, model="RADIAL", width=camera.width, height=camera.height, params=[*camera.params, 0.0, 0.0]
+    )
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    pycolmap.bundle_adjustment(model, options)
+
+
 @pytest.mark.slow
 def test_straight_down_leaves_it_open_and_a_slant_does_not(suburb, tmp_path):
     down, slant = (focal_sd(block(suburb, tmp_path / str(pitch), pitch)) for pitch in (90, 60))
@@ -40,17 +57,8 @@ def test_what_the_normal_equations_say_is_what_adjustment_does(suburb, tmp_path)
     """The focal length that bundle adjustment finds scatters from noise to noise as much as is said."""
     found, said = [], []
     for seed in range(6):
-        write_colmap(
-            suburb, tmp_path / str(seed), 3.0, 8, 75, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
-        )
-        model = pycolmap.Reconstruction(str(tmp_path / str(seed) / "sparse"))
-        camera = model.cameras[1]
-        model.cameras[1] = pycolmap.Camera(
-            camera_id=1, model="RADIAL", width=camera.width, height=camera.height, params=[*camera.params, 0.0, 0.0]
-        )
-        options = pycolmap.BundleAdjustmentOptions()
-        options.print_summary = False
-        pycolmap.bundle_adjustment(model, options)
+        model = noisy_block(suburb, tmp_path / str(seed), 75, seed)
+        adjust(model)
         said.append(focal_sd(model))
         found.append(np.log(model.cameras[1].mean_focal_length() / 900))
     assert 0.4 < np.sqrt(np.mean(np.square(found))) / np.mean(said) < 2.5
@@ -61,19 +69,10 @@ def test_how_far_straight_views_may_bend_a_block_is_what_adjustment_does(suburb,
     """The spread of the cameras over that of the points, after bundle adjustment of noise, against the truth."""
     found, said = [], []
     for seed in range(6):
-        write_colmap(
-            suburb, tmp_path / str(seed), 3.0, 8, 90, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
-        )
-        model = pycolmap.Reconstruction(str(tmp_path / str(seed) / "sparse"))
+        model = noisy_block(suburb, tmp_path / str(seed), 90, seed)
         up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
         before = spreads(model, up)
-        camera = model.cameras[1]
-        model.cameras[1] = pycolmap.Camera(
-            camera_id=1, model="RADIAL", width=camera.width, height=camera.height, params=[*camera.params, 0.0, 0.0]
-        )
-        options = pycolmap.BundleAdjustmentOptions()
-        options.print_summary = False
-        pycolmap.bundle_adjustment(model, options)
+        adjust(model)
         up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
         said.append(bend_sd(model, up) / SYSTEMATIC)
         found.append(spreads(model, up) - before)
