@@ -17,6 +17,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import brentq
 
 from orthoscale.core.fleet import WORLD, Fleet
 from orthoscale.core.pooling.paper import pool_iqr
@@ -69,6 +70,8 @@ ODD = {  # places by what most of their vehicles are in any country: a class of 
     "60 % vans": (None, Vans(0.6, 0.5)),
 }
 HIDDEN = (0.0, 0.1, 0.25)  # shares of the vehicles that stand partly under trees
+LONGER = (-0.08, -0.04, 0.0, 0.04, 0.08)  # by how much a place's vehicles are longer than its country's, in the mean
+STEEPEST = 8.0  # [1 / m] greatest steepness in `tilted`
 ODDEST = ("as places are", "60 % minis", "80 % pickups", "60 % vans")
 COUNTS = (5, 10, 20, 50, 100, 300, 1000, 3000, 10_000)
 
@@ -106,22 +109,25 @@ def run(
     kinds: bool = True,
     hidden: float = 0.0,
     one: bool = False,
+    longer: float = 0.0,
+    told: Fleet | None = None,
 ) -> Tally:
     """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call.
 
     vans : None for as many as places usually have. most, hidden : as in `car_park`. kinds : whether kinds are seen, if
-    the ruler has a table of them. one : the vehicles of each car park are of one model.
+    the ruler has a table of them. one : the vehicles of each car park are of one model. longer : by how much they are
+    longer than the fleet's, in the mean (`tilted`). told : the fleet that the pooling is given, if another.
     """
     rows, refused = [], 0
     for k in range(scenes):
         gsd = gsds[k % len(gsds)]
         rng = np.random.default_rng([0, k])
-        here = of_one_model(np.random.default_rng([1, k]), fleet) if one else fleet
+        here = of_one_model(np.random.default_rng([1, k]), fleet) if one else tilted(fleet, longer)
         votes = car_park(rng, here, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most, hidden, exact=False)
         if not kinds:
             votes = replace(votes, kinds=np.nan)
         try:
-            scale = pool(votes, fleet, ruler, "m/px")
+            scale = pool(votes, told or fleet, ruler, "m/px")
         except TooLittleEvidence:
             refused += 1
             continue
@@ -152,6 +158,22 @@ def of_one_model(rng: np.random.Generator, fleet: Fleet) -> Fleet:
     (size,), (k,) = fleet.sample_of_classes(rng, 1)
     model = replace(fleet.classes[k], weight=1.0, mean=size, sd=VERSIONS)
     return replace(fleet, classes=(model,), three_wheelers=None)
+
+
+def tilted(fleet: Fleet, longer: float) -> Fleet:
+    """The vehicles of a place where those of `fleet` are on average `longer` (a share of the mean): the shares of its
+    classes change by a factor that is exponential in their lengths, which changes the mix as little as possible (by
+    Kullback and Leibler's divergence). Raises ValueError if no mix of the classes has that mean."""
+    weight, length = np.array([(c.weight, c.mean[0]) for c in fleet.classes]).T
+    mean = (1 + longer) * np.average(length, weights=weight)
+
+    def shares(steepness: float) -> np.ndarray:
+        return np.asarray(weight * np.exp(steepness * (length - mean)))
+
+    steepness = brentq(lambda k: np.average(length, weights=shares(k)) - mean, -STEEPEST, STEEPEST)
+    new = shares(float(steepness)) * weight.sum() / shares(float(steepness)).sum()
+    classes = tuple(replace(c, weight=float(w)) for c, w in zip(fleet.classes, new, strict=True))
+    return replace(fleet, classes=classes)
 
 
 def by_fleet(ruler: Ruler, scenes: int) -> str:
@@ -206,6 +228,33 @@ def by_oddness(scenes: int) -> str:
         ]  # fmt: skip
         rows.append([code, *cells])
     return table(["fleet", *ODDEST], rows)
+
+
+def by_told(scenes: int) -> str:
+    """Odd places with measured boxes and vehicle kinds, as they are found and where the user says what most are."""
+    rows = []
+    for code, (name, (most, vans)) in product(("US", "DE", "GB", "IT", "CN", "BR", "PH"), ODD.items()):
+        fleet = load_fleet(code)
+        if most is None or not most[1] or most[0] not in {c.name for c in fleet.classes}:
+            continue
+        told = (None, load_fleet(f"{code}:{most[0]}"))
+        cells = [run(fleet, scenes, ruler=MEASURED, gsds=(0.12,), vans=vans, most=most, told=t).cell() for t in told]
+        rows.append([code, name, *cells])
+    return table(["fleet", "place", "not told", "told what most are"], rows)
+
+
+def by_length(scenes: int) -> str:
+    """Places whose vehicles are shorter or longer than their country's, with measured boxes and vehicle kinds."""
+    rows = []
+    for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
+        cells = []
+        for longer in LONGER:
+            try:
+                cells.append(run(load_fleet(code), scenes, ruler=MEASURED, gsds=(0.12,), longer=longer).cell())
+            except ValueError:
+                cells.append("no such mix")
+        rows.append([code, *cells])
+    return table(["fleet", *(f"{100 * longer:+.0f} %" for longer in LONGER)], rows)
 
 
 def by_model(scenes: int) -> str:
@@ -307,6 +356,8 @@ TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
     "vans": ("With margins, vans of one kind", by_vans),
     "kinds": ("With margins, vans and 10 % false boxes, kinds seen or not", by_kinds),
     "odd": ("Measured boxes, 12 cm/px: odd places", by_oddness),
+    "told": ("Measured boxes, 12 cm/px: odd places, and the user says so", by_told),
+    "longer": ("Measured boxes, 12 cm/px: places of shorter or longer vehicles than their country's", by_length),
     "one": ("Measured boxes, 12 cm/px: places of one model", by_model),
     "hidden": ("Measured boxes and vans, of which some vehicles are partly hidden", by_hidden),
     "country": ("The country not known [%]: each of the table's fleets in turn", without_country),
