@@ -155,13 +155,15 @@ def _mostly(fleet: Fleet, wanted: str) -> Fleet:
     if wanted.lower() not in names:
         raise UsageError(f"fleet {fleet.code} has no class {wanted!r}", f"Its classes: {', '.join(names.values())}.")
     name = names[wanted.lower()]
-    (own,) = (c for c in fleet.classes if c.name == name)
+    own = next(c for c in fleet.classes if c.name == name)
     drawn = fleet.place_vehicles[0].vehicles * own.weight / sum(c.weight for c in fleet.classes)
+    mostly = _with_share(fleet, name, MOST)
     return replace(
-        _with_share(fleet, name, MOST),
+        mostly,
         code=f"{fleet.code}:{name}",
         name=f"{fleet.name}, a place where most are of the class {name}",
         mean_sd=np.hypot(fleet.mean_sd, MOST * own.sd / np.sqrt(drawn + 1)),
+        shares_source=f"{mostly.shares_source}: as the user says",
         shares_sd=float(np.hypot(fleet.shares_sd, MOST_SD)),
         of_country=fleet.country,
     )

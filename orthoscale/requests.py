@@ -65,8 +65,9 @@ class VehicleRequest:
         None,
         str,
         "Main",
-        "Country of the vehicles, by code or name (US, DE, Japan ...); 'world' where it is not known; "
-        "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
+        "Country of the vehicles, by code or name (US, DE, Japan ...), with a class where most are of one (DE:mini); "
+        "'world' where it is not known; or a fleet.json. Default: the calibration's own, else the country where the "
+        "input lies, else world.",
         is_file=_is_json,
     )
     detections: str | Path | None = option(

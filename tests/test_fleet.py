@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulate import car_park
 
 import orthoscale
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import fleet_codes, load_fleet
@@ -257,6 +260,40 @@ def test_at_an_odd_place_four_vehicles_of_five_are_of_any_class():
     usual, odd = (kind.shares(np.array([0.03, 0.17, 0.8])) for kind in PLACE_VEHICLES)
     assert usual == pytest.approx([0.03, 0.17, 0.8])
     assert odd == pytest.approx([0.2 * 0.03 + 0.8 / 3, 0.2 * 0.17 + 0.8 / 3, 0.2 * 0.8 + 0.8 / 3])
+
+
+def test_a_place_where_most_are_of_one_class():
+    germany, minis = load_fleet("DE"), load_fleet("Deutschland: Mini")
+    assert minis.code == "DE:mini" and minis.country == "DE" and "most are of the class mini" in minis.name
+    share = {c.name: c.weight for c in minis.classes}
+    assert share["mini"] == 0.7 and sum(share.values()) == pytest.approx(1)
+    others = [c.weight / share[c.name] for c in germany.classes if c.name != "mini"]
+    assert others == pytest.approx([others[0]] * len(others)), "the rest is as in the country"
+    drawn = minis.sample(np.random.default_rng(0), 40_000)
+    assert minis.mean == pytest.approx(drawn.mean(0), rel=2e-3) and minis.sd == pytest.approx(drawn.std(0), rel=0.05)
+    assert minis.mean_sd[0] > 1.5 * germany.mean_sd[0], "which minis they are is not known"
+    assert minis.place_vehicles[0].vehicles < germany.place_vehicles[0].vehicles, "nor how many most is"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("DE:tram", "mini, small, compact"), ("DE:", "mini, small, compact"), ("world:mini", "Name a country"),
+     ("US_pickup:pickup", "Name a country"), ("Germny:mini", "Germany"), (":mini", "")],
+)  # fmt: skip
+def test_a_class_that_a_fleet_does_not_have_is_refused_with_those_that_it_has(text, says):
+    with pytest.raises(UsageError) as caught:
+        load_fleet(text)
+    assert says in caught.value.hint
+
+
+def test_a_lot_of_minis_is_measured_right_where_the_user_says_so():
+    """By the country's fleet it comes out a tenth too large, for minis have the proportions of small cars."""
+    ruler, errors = Ruler(noise=(1.0, 0.6)), {"DE": [], "DE:mini": []}
+    for seed in range(4):
+        lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, ruler, most=("mini", 0.7))
+        for name, found in errors.items():
+            found.append(np.log(pool(lot, load_fleet(name), ruler, "m/px").value / 0.12))
+    assert abs(np.mean(errors["DE:mini"])) < 0.03 < 0.06 < np.mean(errors["DE"])
 
 
 def test_three_wheelers_stand_among_the_cars_of_the_countries_that_have_them():
