@@ -54,8 +54,10 @@ def load_fleet(name: str | Path) -> Fleet:
     path = path_of(name, "a country, or the path of a fleet.json")
     if path.suffix.lower() == ".json":
         return read_fleet(path)
-    country, colon, wanted = str(name).rpartition(":")
-    return _mostly(load_fleet(country), wanted.strip()) if colon else _of_country(str(name))
+    country, _, wanted = str(name).rpartition(":")
+    if len(country) < 2:  # no class, or the drive of a path
+        return _of_country(str(name))
+    return _mostly(load_fleet(country), wanted.strip())
 
 
 def read_fleet(path: Path) -> Fleet:

@@ -278,7 +278,7 @@ def test_a_place_where_most_are_of_one_class():
 @pytest.mark.parametrize(
     ("text", "says"),
     [("DE:tram", "mini, small, compact"), ("DE:", "mini, small, compact"), ("world:mini", "Name a country"),
-     ("US_pickup:pickup", "Name a country"), ("Germny:mini", "Germany"), (":mini", "")],
+     ("US_pickup:pickup", "Name a country"), ("Germny:mini", "Germany"), ("C:/register.csv", "--registrations")],
 )  # fmt: skip
 def test_a_class_that_a_fleet_does_not_have_is_refused_with_those_that_it_has(text, says):
     with pytest.raises(UsageError) as caught:
