@@ -24,9 +24,6 @@ OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet for an unknown country
 # (benchmarks/results/places.md compares other shares). The average has a share for countries unlike all candidates.
 AVERAGE_SHARE = 0.1
 REASONS = 0.7, 0.15, 0.15  # weights of the priors: by vehicles, by people, even
-# Share of the class of which most vehicles of a place are said to be, and its one sigma as a share of it. A judgement:
-# two thirds to four fifths is what people call most.
-MOST, MOST_SD = 0.7, 0.25
 REGION = "R_"  # prefix of the codes of regions, whose fleets stand in for countries without a row
 
 
@@ -141,50 +138,18 @@ def _row(code: str) -> Fleet:
 def _part(code: str) -> Fleet:
     """The fleet of a part of a country, in which one class has another share than in the whole country."""
     part, source = _document()["parts"][code], _document()["parts_source"]
-    country = _with_share(_row(part["of"]), part["class"], part["share"])
+    country = _row(part["of"]).with_share(part["class"], part["share"])
     return replace(country, code=code, name=part["name"], shares_source=f"{country.shares_source}: {source}")
 
 
 def _mostly(fleet: Fleet, wanted: str) -> Fleet:
-    """The vehicles of a place of which most are of the class `wanted`, in any case, and the others as in `fleet`.
-
-    Which models of that class stand there is as open as at any place of the country, where it has only its usual share
-    of the vehicles that are drawn (`PlaceKind.vehicles`). Raises UsageError.
-    """
+    """`Fleet.mostly` for the class `wanted`, in any case. Raises UsageError."""
     names = {c.name.lower(): c.name for c in fleet.classes}
     if fleet.candidates or len(names) < 2:
         raise UsageError(f"the vehicles of fleet {fleet.code} are not divided into classes", "Name a country.")
     if wanted.lower() not in names:
         raise UsageError(f"fleet {fleet.code} has no class {wanted!r}", f"Its classes: {', '.join(names.values())}.")
-    name = names[wanted.lower()]
-    own = next(c for c in fleet.classes if c.name == name)
-    drawn = fleet.place_vehicles[0].vehicles * own.weight / sum(c.weight for c in fleet.classes)
-    mostly = _with_share(fleet, name, MOST)
-    return replace(
-        mostly,
-        code=f"{fleet.code}:{name}",
-        name=f"{fleet.name}, a place where most are of the class {name}",
-        mean_sd=np.hypot(fleet.mean_sd, MOST * own.sd / np.sqrt(drawn + 1)),
-        shares_source=f"{mostly.shares_source}: as the user says",
-        shares_sd=float(np.hypot(fleet.shares_sd, MOST_SD)),
-        of_country=fleet.country,
-    )
-
-
-def _with_share(fleet: Fleet, name: str, share: float) -> Fleet:
-    """`fleet` with another `share` of the class `name`, the others in proportion."""
-    own = np.array([c.weight if c.name == name else 0.0 for c in fleet.classes])
-    rest = np.array([c.weight for c in fleet.classes]) - own
-    weights = share * own / own.sum() + (1 - share) * rest / rest.sum()
-    means, sds = (np.array([getattr(c, of) for c in fleet.classes]) for of in ("mean", "sd"))
-    mean = weights @ means
-    return replace(
-        fleet,
-        mean=mean,
-        sd=np.sqrt(weights @ (sds**2 + (means - mean) ** 2)),
-        classes=tuple(replace(c, weight=float(w)) for c, w in zip(fleet.classes, weights, strict=True)),
-        shares_source=f"{fleet.name}, {name} {100 * share:.0f} %",
-    )
+    return fleet.mostly(names[wanted.lower()])
 
 
 def _with_three_wheelers(fleet: Fleet) -> Fleet:

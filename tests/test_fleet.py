@@ -10,7 +10,7 @@ import pytest
 from support.simulate import car_park
 
 import orthoscale
-from orthoscale.core.pooling.robust import pool
+from orthoscale.core.pooling.robust import pool, proposed_class
 from orthoscale.core.ruler import Ruler
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
@@ -294,6 +294,18 @@ def test_a_lot_of_minis_is_measured_right_where_the_user_says_so():
         for name, found in errors.items():
             found.append(np.log(pool(lot, load_fleet(name), ruler, "m/px").value / 0.12))
     assert abs(np.mean(errors["DE:mini"])) < 0.03 < 0.06 < np.mean(errors["DE"])
+
+
+def test_that_most_are_minis_is_proposed_to_the_user_where_it_may_be():
+    ruler, said = Ruler(noise=(1.0, 0.6)), {None: [], ("mini", 0.7): []}
+    for most, lots in said.items():
+        for seed in range(5):
+            lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, ruler, most=most)
+            lots += [remark.text for remark in proposed_class(lot, load_fleet("DE"), ruler)]
+            for named in ("DE:mini", "world", "US_pickup"):
+                assert not [r for r in proposed_class(lot, load_fleet(named), ruler) if "class mini" in r.text]
+    assert not said[None] and len(said["mini", 0.7]) > 2
+    assert all("of the class mini" in text and "--fleet 'DE:mini'" in text for text in said["mini", 0.7])
 
 
 def test_three_wheelers_stand_among_the_cars_of_the_countries_that_have_them():

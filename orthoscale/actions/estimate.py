@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,8 +25,9 @@ from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
+from ..core.pooling.robust import proposed_class
 from ..core.progress import Progress
-from ..core.remarks import CAUTION, REFUSAL
+from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..errors import InputError, TooLittleEvidence
@@ -149,12 +150,20 @@ def measured(
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
-    scale = measurement.scale
+    scale = measurement.scale.remarked(*_of_a_class(measurement, fleet, answer.method))
+    measurement = replace(measurement, scale=scale)
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
     found = replace(answer.found, notes=(*asked.why, *answer.found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
     return Result(source, fleet, found, seconds, measurement, answer.method, request.settings(), anchors, match)
+
+
+def _of_a_class(measurement: Measurement, fleet: Fleet, method: Method) -> Iterator[Remark]:
+    """The remark that most vehicles may be of one class, where the scale is by vehicles."""
+    if measurement.scale.vehicles_used and not method.vehicles_only:
+        pooled = measurement.pooled
+        yield from proposed_class(measurement.votes, fleet, pooled.ruler, pooled.systematic.covariance)
 
 
 def _answer(

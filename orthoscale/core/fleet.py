@@ -18,6 +18,9 @@ from .market_segments import AXES, Class, PlaceKind, classes_of, kinds_of, place
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
 # fleet's two means were also estimated apart.
 MEAN_CORRELATION = 0.85
+# Share of a class at a place where most vehicles are of it, and its one sigma as a share of it. A judgement: half to
+# nine tenths is what people call most.
+MOST, MOST_SD = 0.7, 0.25
 WORLD = "WORLD"  # code of the fleet of a place whose country is not known
 
 
@@ -98,6 +101,38 @@ class Fleet:
         """The ISO code that it names; else the beginning of its own code, which is an ISO code for the fleet of a
         country or of a part of one (``US`` of ``US_TX``)."""
         return self.of_country or self.code.split("_")[0]
+
+    def with_share(self, name: str, share: float) -> Fleet:
+        """The same with another `share` of the class `name`, the others in proportion."""
+        own = np.array([c.weight if c.name == name else 0.0 for c in self.classes])
+        rest = np.array([c.weight for c in self.classes]) - own
+        weights = share * own / own.sum() + (1 - share) * rest / rest.sum()
+        means, sds = (np.array([getattr(c, of) for c in self.classes]) for of in ("mean", "sd"))
+        mean = weights @ means
+        return replace(
+            self,
+            mean=mean,
+            sd=np.sqrt(weights @ (sds**2 + (means - mean) ** 2)),
+            classes=tuple(replace(c, weight=float(w)) for c, w in zip(self.classes, weights, strict=True)),
+            shares_source=f"{self.name}, {name} {100 * share:.0f} %",
+        )
+
+    def mostly(self, name: str) -> Fleet:
+        """The vehicles of a place of which most are of the class `name`, and the others as in this fleet.
+
+        Which models of that class stand there is as open as at any place of the country, where it has only its usual
+        share of the vehicles that are drawn (`PlaceKind.vehicles`).
+        """
+        own = next(c for c in self.classes if c.name == name)
+        drawn = self.place_vehicles[0].vehicles * own.weight / sum(c.weight for c in self.classes)
+        return replace(
+            self.with_share(name, MOST),
+            code=f"{self.code}:{name}",
+            name=f"{self.name}, a place where most are of the class {name}",
+            mean_sd=np.hypot(self.mean_sd, MOST * own.sd / np.sqrt(drawn + 1)),
+            shares_sd=float(np.hypot(self.shares_sd, MOST_SD)),
+            of_country=self.country,
+        )
 
     @cached_property
     def log_mean(self) -> np.ndarray:

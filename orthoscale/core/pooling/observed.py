@@ -96,3 +96,7 @@ class Seen:
 
     def __getitem__(self, some: np.ndarray) -> Seen:
         return replace(self, log_size=self.log_size[some], noise=self.noise[some], called=self.called[some])
+
+    def few(self, number: int) -> Seen:
+        """`number` of them, evenly chosen, or all if there are no more."""
+        return self[np.linspace(0, len(self) - 1, min(len(self), number)).astype(int)]
