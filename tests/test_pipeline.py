@@ -8,6 +8,7 @@ import pytest
 import rasterio
 
 import orthoscale
+from orthoscale.core.remarks import CAUTION, Remark
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_colmap, write_ortho
@@ -142,6 +143,21 @@ def test_four_vehicles_are_too_few(town, tmp_path):
     (tmp_path / "four.json").write_text(found)
     with pytest.raises(TooLittleEvidence, match="4 usable vehicles, 5 are needed"):
         orthoscale.estimate(town, detections=tmp_path / "four.json", anchors=["none"])
+
+
+def test_the_scale_says_of_which_class_most_vehicles_may_be(town, tmp_path, monkeypatch):
+    given = []
+
+    def proposed(votes, fleet, ruler, geometry):
+        given.append((len(votes), fleet.code))
+        yield Remark(CAUTION, "most may be minis")
+
+    monkeypatch.setattr("orthoscale.actions.estimate.proposed_class", proposed)
+    robust = orthoscale.estimate(town, fleet="DE", anchors=["none"])
+    orthoscale.save_detections(robust.detections, tmp_path / "boxes.json")
+    paper = orthoscale.estimate(town, fleet="DE", detections=tmp_path / "boxes.json", estimator="iqr")
+    assert given == [(len(robust.votes), "DE")] and "most may be minis" in map(str, robust.scale.remarks)
+    assert "most may be minis" not in map(str, paper.scale.remarks)
 
 
 def test_detections_of_another_picture_are_refused(town, tmp_path):
