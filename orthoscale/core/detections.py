@@ -31,26 +31,6 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Swept:
-    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of all tiles.
-    from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : the reason for
-    which the others were left out, in words; empty if none were."""
-
-    tiles: list[tuple[str, Tile]] = field(repr=False)
-    total: int
-    from_cache: int = 0
-    pictures: int = 1
-    why: str = ""
-
-    @property
-    def looked_at(self) -> str:
-        """The number processed and the total, in words: of frames if there are several pictures, else of tiles."""
-        if self.pictures == 1:
-            return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
-        return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
-
-
-@dataclass(frozen=True)
 class ZoomChoice:
     """The result of the scale search. zoom : detector pixels per picture pixel. vehicle_px : the vehicles' length in
     picture pixels, None if not found.
@@ -79,6 +59,28 @@ class ZoomChoice:
 
 
 @dataclass(frozen=True)
+class Swept:
+    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of all tiles.
+    from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : the reason for
+    which the others were left out, in words; empty if none were. zoom_choice : how their zoom was searched for; None if
+    the user gave it."""
+
+    tiles: list[tuple[str, Tile]] = field(repr=False)
+    total: int
+    from_cache: int = 0
+    pictures: int = 1
+    why: str = ""
+    zoom_choice: ZoomChoice | None = None
+
+    @property
+    def looked_at(self) -> str:
+        """The number processed and the total, in words: of frames if there are several pictures, else of tiles."""
+        if self.pictures == 1:
+            return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
+        return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
+
+
+@dataclass(frozen=True)
 class Detections:
     """Boxes by picture name [px of the picture], with what is needed to measure with them.
 
@@ -91,9 +93,8 @@ class Detections:
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
     sizes : width and height of the pictures on which the boxes were made [px], where they are known.
     body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
-    swept : which tiles were processed; None for boxes from a file.
-    zoom_choice : how `zoom` was searched for; None if it was given, or if boxes are from a file.
-    zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are.
+    swept : how the boxes were found just now; None for boxes from a file.
+    zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are; files keep it.
 
     `orthoscale.formats.detections` reads and writes files of them.
     """
@@ -108,7 +109,6 @@ class Detections:
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     planar: Detections | None = None
     swept: Swept | None = None
-    zoom_choice: ZoomChoice | None = None
     body: str = "car"
     notes: tuple[str, ...] = ()
     set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
