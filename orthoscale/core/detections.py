@@ -9,7 +9,7 @@ from typing import Any
 from .boxes import Boxes
 from .confirmed import AS_LIKELY
 from .ruler import Ruler
-from .source import GROUND_FOLDER
+from .source import GROUND_FOLDER, Pictures
 
 # For boxes from a file that has no ruler: nobody has measured their margin.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
@@ -162,10 +162,11 @@ class Detections:
         names = set().union(self.boxes, self.doubtful, *self.set_aside.values(), self.objects)
         return names if self.planar is None else names | self.planar.pictures
 
-    def made_on(self, sizes: Mapping[str, tuple[int, int]]) -> Detections:
-        """The same with the sizes of its pictures, of the `sizes` (width, height) [px] by picture name."""
+    def made_on(self, source: Pictures) -> Detections:
+        """The same with the sizes of its pictures [px], which are those of `source`."""
         pictures = self.pictures
-        return replace(self, sizes={name: size for name, size in sizes.items() if name in pictures})
+        sizes = {name: source.image_size(name) for name in source.picture_names if name in pictures}
+        return replace(self, sizes=sizes)
 
     @property
     def assumed(self) -> tuple[str, ...]:
