@@ -87,14 +87,15 @@ class Detections:
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : height up to which boxes enclose a vehicle seen obliquely, for its length and its width [m].
     undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
-    objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
+    body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     doubtful : boxes that only one detection pass finds, or both with low confidence (UNCONFIRMED), by picture name.
     set_aside : boxes that both passes find but that do not count, by the reason and picture name.
+    objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
     sizes : width and height of the pictures on which the boxes were made [px], where they are known.
-    body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
-    swept : how the boxes were found just now; None for boxes from a file.
     zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are; files keep it.
+    swept : how the boxes were found just now; None for boxes from a file.
+    notes : remarks for the user on what was found; files do not keep them.
 
     `orthoscale.formats.detections` reads and writes files of them.
     """
@@ -105,16 +106,16 @@ class Detections:
     effective_height: tuple[float, float]
     detector: str
     detector_sha256: str = ""
+    undercut: tuple[float, float] = (0.0, 0.0)
+    body: str = "car"
     doubtful: dict[str, Boxes] = field(default_factory=dict)
+    set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     planar: Detections | None = None
-    swept: Swept | None = None
-    body: str = "car"
-    notes: tuple[str, ...] = ()
-    set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
-    undercut: tuple[float, float] = (0.0, 0.0)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     zoom_given: bool = False
+    swept: Swept | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
