@@ -63,8 +63,8 @@ def _looked_for(asked: Opened, request: EstimateRequest, progress: Progress | No
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
-        ruler = (found.zoom, found.ruler.noise)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, effort.threads, progress))
+        boxes = refined(source.pictures, found.boxes, found.zoom, found.ruler.noise, network, effort.threads, progress)
+        found = replace(found, boxes=boxes)
     return replace(found, notes=(*found.notes, *network.notes))
 
 
