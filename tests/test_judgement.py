@@ -71,6 +71,12 @@ def test_what_speaks_against_a_scale_comes_first(measured, what):
     assert order == sorted(order)
 
 
+@pytest.mark.parametrize("more, what", [(-1, "Enough vehicles"), (1, "Many rejected")])
+def test_more_rejected_than_used_are_many(measured, more, what):
+    rejected = measured.scale.vehicles_used + more
+    assert what in [j.what for j in judgements(scaled(measured, reasons=["too large for a car"] * rejected))]
+
+
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
     contradicted = with_tape(measured, 0.13, 5.0)
     said = "vehicles: 0.1, a tape: 0.13, 5 sigmas apart"
