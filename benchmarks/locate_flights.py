@@ -29,7 +29,7 @@ from orthoscale.core.source import PosedSet
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.locate.level import LevelledPhoto
 from orthoscale.locate.register import Known
-from orthoscale.photos.measure import Photo
+from orthoscale.photos.photo import Photo
 from orthoscale.sources.lens import Lens
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.satellite import Satellite

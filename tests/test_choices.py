@@ -23,7 +23,7 @@ from orthoscale.detect.effort import Effort
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks
 from orthoscale.fleets import load_fleet
-from orthoscale.photos.measure import Photo
+from orthoscale.photos.photo import Photo
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.tags import Tags
 

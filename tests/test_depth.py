@@ -18,7 +18,8 @@ from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.depth.ground import DepthMap, depth_altitude
 from orthoscale.photos.depth.maps import Depths
 from orthoscale.photos.depth.rules import RULES, rule_of
-from orthoscale.photos.measure import Interval90, open_photo
+from orthoscale.photos.measure import Interval90
+from orthoscale.photos.photo import open_photo
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import VISLOC_FOCAL, write_csv
 

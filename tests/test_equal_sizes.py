@@ -90,6 +90,16 @@ def test_equal_things_that_both_passes_find_are_not_counted_as_found_by_one():
     assert doubts(found) == {UNCONFIRMED: 0, WHY_EQUAL: len(panels)} and looked_at(replace(found, boxes={}))
 
 
+@pytest.mark.parametrize("given", [1.0, None])
+def test_what_is_found_says_whether_the_user_gave_the_zoom(given):
+    cars = rows(np.random.default_rng(6), 12, 2, 45.0, 0.06, at=(60, 60), gap=1.5)
+    picture = Drawing(700, 300, cars)
+    found = find_vehicles([picture], RectangleDetector(), given, effort=Effort(workers=1, cache=False))
+    choice = found.swept.zoom_choice
+    assert (found.zoom_given, choice is None) == (given is not None, given is not None)
+    assert found.zoom == (given or choice.zoom)
+
+
 def test_equal_things_do_not_vote_for_a_size_and_neither_do_stragglers_among_them():
     rng = np.random.default_rng(3)
     panels, cars = rows(rng, 20, 8, 22.0, 0.02), rows(rng, 10, 2, 55.0, 0.06, at=(0, 900))

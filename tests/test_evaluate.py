@@ -23,7 +23,8 @@ from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.looking import save_boxes
-from orthoscale.photos.measure import RIGHT, measure
+from orthoscale.photos.measure import measure
+from orthoscale.photos.photo import RIGHT
 from orthoscale.sources.lens import Lens, brown
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc

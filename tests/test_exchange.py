@@ -264,7 +264,8 @@ def test_boxes_in_ground_pictures_are_of_frames_of_one_size_too(tmp_path):
 
 
 def test_boxes_that_python_saves_of_a_result_have_their_sizes(tmp_path):
-    found = Detections({"a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), "").made_on({"a.jpg": (320, 240), "b.jpg": (1, 1)})
+    source = sized(["a.jpg", "b.jpg"], (320, 240))
+    found = Detections({"a.jpg": BOXES}, 1.0, RULER, (0.7, 0.5), "").made_on(source)
     orthoscale.save_detections(found, tmp_path / "d.json")
     assert load_detections(tmp_path / "d.json").sizes == {"a.jpg": (320, 240)}
 

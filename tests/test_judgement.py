@@ -13,6 +13,7 @@ from orthoscale.core.measuring.drift import Trend
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift
+from orthoscale.core.measuring.parts import PARTS_NAMED, Parts
 from orthoscale.core.pooling.agreement import Agreement
 from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark, amount
 from orthoscale.core.scale import PER_PIXEL
@@ -69,6 +70,12 @@ def test_what_speaks_against_a_scale_comes_first(measured, what):
     assert (found[0].severity, found[0].what) == (severity, what)
     order = [SEVERITIES.index(j.severity) for j in found]
     assert order == sorted(order)
+
+
+@pytest.mark.parametrize("more, what", [(-1, "Enough vehicles"), (1, "Many rejected")])
+def test_more_rejected_than_used_are_many(measured, more, what):
+    rejected = measured.scale.vehicles_used + more
+    assert what in [j.what for j in judgements(scaled(measured, reasons=["too large for a car"] * rejected))]
 
 
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
@@ -211,3 +218,10 @@ def test_what_was_found_in_opening_the_source_is_a_check_too(measured):
 )  # fmt: skip
 def test_one_is_not_said_as_several(number, what, said):
     assert amount(number, what) == said
+
+
+@pytest.mark.parametrize("more, said", [(0, ""), (1, "; and 1 more part"), (2, "; and 2 more parts")])
+def test_of_many_parts_of_a_model_some_are_named(more, said):
+    parts = Parts.of([((f"{k}.jpg", "more.jpg"), None) for k in range(PARTS_NAMED + more)])
+    last = PARTS_NAMED - 1
+    assert parts.said.endswith(f"2 images ({last}.jpg ...) have too few vehicles{said}")

@@ -41,7 +41,8 @@ from orthoscale.locate.retrieval import Embedding
 from orthoscale.locate.terminal import summary
 from orthoscale.locate.verify import PlaneSimilarity, agreeing, needed
 from orthoscale.photos.looking import Looking
-from orthoscale.photos.measure import Interval90, open_photo
+from orthoscale.photos.measure import Interval90
+from orthoscale.photos.photo import open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
 from orthoscale.sources.tags import Tags

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -288,3 +289,11 @@ def test_the_frames_zoom_is_tried_where_the_grounds_own_shows_too_little(
     search = find_module.VehicleSearch(None, given, sampling=sampling)
     found = find_module._planar([], search, None, lambda: 0.5)
     assert (asked, found) == (zooms, number)
+
+
+@pytest.mark.parametrize("mode", ["planar", "both"])
+def test_ground_pictures_that_are_needed_and_missing_are_missed_before_frames_are_searched(monkeypatch, mode):
+    monkeypatch.setattr(find_module, "find_vehicles", lambda *_: pytest.fail("frames are searched"))
+    low = SimpleNamespace(path="low", pictures=[], ground_pictures=[SimpleNamespace(frame=None)])
+    with pytest.raises(TooLittleEvidence, match="near the nadir"):
+        find_module.find_in_model(low, mode, find_module.VehicleSearch(None))

@@ -21,7 +21,8 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import finished, inputs, many, processes
 from orthoscale.actions.inputs import Named, outputs_of
-from orthoscale.cli.many import line, tell_rehearsals
+from orthoscale.cli.dry_run import tell_rehearsals
+from orthoscale.cli.many import line
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import inputs_in, write_summary

@@ -37,7 +37,8 @@ from orthoscale.photos import survey, tables
 from orthoscale.photos.folders import find_photos
 from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import PhotoGeometry, _assembled, measure, open_photo
+from orthoscale.photos.measure import PhotoGeometry, _assembled, measure
+from orthoscale.photos.photo import open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth

@@ -211,23 +211,25 @@ def test_cars_of_another_size_are_another_reading(tmp_path, factor, others, kind
 
 
 @pytest.mark.parametrize(
-    "vehicles, believed, uncounted, searched, refused",
+    "vehicles, doubtful, given, refused",
     [
-        (6, 8, 18, True, True),
-        (6, 8, 18, False, False),
-        (6, 7, 13, True, True),
-        (7, 8, 13, True, False),
-        (6, 7, 12, True, False),  # too few boxes to say
-        (30, 40, 100, True, False),  # not by chance
+        (6, 20, False, True),
+        (6, 20, True, False),  # the user says how large vehicles are
+        (6, 14, False, True),
+        (7, 13, False, False),
+        (5, 14, False, False),  # too few boxes to say
+        (20, 60, False, False),  # too many for chance
     ],
 )
-def test_few_vehicles_among_many_boxes_may_agree_by_chance(vehicles, believed, uncounted, searched, refused):
+def test_few_vehicles_among_many_boxes_may_agree_by_chance(vehicles, doubtful, given, refused):
     """Of a tank farm without cars six of 26 boxes happened to agree, on 0.6 times its scale."""
-    boxes = car_park(45, 2000, 2000, vehicles)
+    boxes = {"plan": car_park(45, 2000, 2000, vehicles)}
+    others = {"plan": random_boxes(doubtful, 1900)}
     plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
-    scale = measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file"), DE).scale
+    found = Detections(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file", doubtful=others, zoom_given=given)
+    scale = measure_source(plan, found, DE).scale
     assert scale.vehicles_used == vehicles
-    judged = if_confirmed(replace(scale, larger_share=0.0, verdict="good"), believed, uncounted, searched)
-    assert (judged.verdict == UNUSABLE) == refused
-    assert any(r.severity == REFUSAL for r in judged.remarks) == refused
+    said = [remark for remark in scale.remarks if "by chance" in remark.text]
+    assert [(r.severity, bool(r.hint)) for r in said] == [(REFUSAL, True)] * refused
+    assert (scale.verdict == UNUSABLE) >= refused

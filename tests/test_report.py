@@ -21,7 +21,7 @@ from test_dense_ground import write_cloud
 
 import orthoscale
 from orthoscale.actions.finished import is_finished
-from orthoscale.core.detections import ZoomChoice
+from orthoscale.core.detections import Swept, ZoomChoice
 from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
@@ -724,7 +724,7 @@ def test_a_scale_of_no_use_says_what_was_not_tried_yet(tmp_path, named):
     settings = {"fleet": "DE"} if named else {}
     for searched in (None, ZoomChoice(4.0, 7.0, 2.0, None, 0.0, [])):
         with pytest.raises(TooLittleEvidence) as caught:
-            found = replace(result.detections, zoom_choice=searched)
+            found = replace(result.detections, swept=Swept([], 0, zoom_choice=searched))
             replace(result, measured=useless, settings=settings, detections=found).require_useful()
         assert ("--fleet" in caught.value.hint) == (not named)
         assert ("--gsd-hint METRES_PER_PIXEL" in caught.value.hint) == (searched is not None)

@@ -11,7 +11,7 @@ from test_remeasure import QUIET, Sees, found, proposed
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import Measured, Measurer
-from orthoscale.detect.remeasure import remeasured
+from orthoscale.detect.remeasure import _without_shadows, remeasured
 from orthoscale.detect.shade import (
     CLEAR_RANGE,
     DARK,
@@ -99,6 +99,23 @@ def scene(larger: tuple[float, float], dark: int, light: int, seed: int = 0) -> 
 
 def test_what_shadows_add_is_found():
     assert shadows(*scene((0.05, 0.12), 300, 300)) == pytest.approx([0.05, 0.12], abs=0.02)
+
+
+def test_what_is_no_vehicle_says_nothing_of_shadows():
+    """Dark roofs and tanks beside the vehicles, of any size."""
+
+    def told(size: np.ndarray, light: np.ndarray, none: np.ndarray) -> dict[str, Measured]:
+        count = len(size)
+        boxes = Boxes(np.c_[np.zeros((count, 2)), np.exp(size), np.zeros(count)], np.ones(count))
+        kind = np.where(none[:, None], [0, 0, 0, 0, 1.0], [1.0, 0, 0, 0, 0])
+        return {"a": Measured(boxes, np.ones((count, 4)), np.ones((count, 4)), kind, light)}
+
+    size, light = scene((0.05, 0.12), 200, 200)
+    roofs = size[:100] + 0.2
+    vehicle, none = np.zeros(len(size), bool), np.ones(len(roofs), bool)
+    _, alone = _without_shadows(told(size, light, vehicle), 1.0)
+    both = told(np.r_[size, roofs], np.r_[light, np.zeros(100)], np.r_[vehicle, none])
+    assert _without_shadows(both, 1.0)[1] == pytest.approx(alone, abs=0.002)
 
 
 def test_half_as_many_lorries_among_the_dark_ones_change_nothing():

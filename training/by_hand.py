@@ -40,9 +40,10 @@ import numpy as np
 
 from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.normal import median_and_sd
 
 from .data import as_stored, read_labels
-from .evaluate import BY_HAND, checked_scenes, measured_scenes, middle, reference_scene
+from .evaluate import BY_HAND, checked_scenes, measured_scenes, reference_scene
 
 CELL = (400, 230)  # width, height [px of the sheet]; vision models see a sheet of twelve without reducing it
 COLUMNS, ROWS = 3, 4
@@ -182,7 +183,7 @@ def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.
     told = {}
     for scene, pairs in sizes.items():
         label, read = np.array(pairs).transpose(1, 0, 2)
-        median, spread = middle(label - read)
+        median, spread = median_and_sd(label - read)
         # The variance of a normal sample's median is pi/2 times that of its mean.
         told[scene] = (median, spread * np.sqrt(np.pi / 2 / len(read)), read)
     return told

@@ -41,7 +41,7 @@ import numpy as np
 from orthoscale.core.angles import axis_angle
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.fleet import Fleet
-from orthoscale.core.normal import robust_sd
+from orthoscale.core.normal import median_and_sd
 from orthoscale.detect.detector import CUT
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import AnyDetector, FunctionDetector, look_twice, one_pass, tiles
@@ -177,13 +177,8 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
     """Median, robust standard deviation, and median absolute value; None without values."""
     if not len(values):
         return None
-    centre, spread = middle(values)
+    centre, spread = median_and_sd(values)
     return float(centre), float(spread), float(np.median(np.abs(values)))
-
-
-def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `values` (N, ...) over the first axis, and their robust standard deviations."""
-    return np.median(values, axis=0), robust_sd(values)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
@@ -417,7 +412,7 @@ def fit_margin(known: Sequence[tuple[np.ndarray, np.ndarray, float | np.ndarray,
     for length_px, width_px, gsd, fleet in known:
         expected = np.exp(fleet.log_mean) / np.reshape(gsd, (-1, 1))  # (1 or N, 2) [px]
         votes = np.column_stack([length_px, width_px]) - expected
-        median, scatter = middle(votes)
+        median, scatter = median_and_sd(votes)
         fleet_sd = np.sqrt(np.diag(fleet.log_mean_covariance)) * np.median(expected, axis=0)
         # The variance of a normal sample's median is pi/2 times that of its mean.
         variances.append(fleet_sd**2 + np.pi / 2 * scatter**2 / len(votes))

@@ -42,7 +42,7 @@ def boxes_of(asked: Opened, request: EstimateRequest, progress: Progress | None)
     else:
         found = _looked_for(asked, request, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)
-    found = found.made_on({name: asked.source.image_size(name) for name in asked.source.picture_names})
+    found = found.made_on(asked.source)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
         found = asked.calibration.applied(found)
@@ -63,8 +63,8 @@ def _looked_for(asked: Opened, request: EstimateRequest, progress: Progress | No
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
-        ruler = (found.zoom, found.ruler.noise)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, effort.threads, progress))
+        boxes = refined(source.pictures, found.boxes, found.zoom, found.ruler.noise, network, effort.threads, progress)
+        found = replace(found, boxes=boxes)
     return replace(found, notes=(*found.notes, *network.notes))
 
 

@@ -73,35 +73,33 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
     """The vehicles in the frames of `source`, and as `Detections.planar` those in its ground pictures, as `mode` asks.
 
     Of FEW_FRAMES frames or more, only a selection that covers the whole ground is processed (`detect.cover`), if the
-    search has a `sampling` that decides whether this is enough for a scale. Without it all are processed. Raises
-    TooLittleEvidence.
+    search has a `sampling` that decides whether this is enough for a scale. Without it all are processed.
+
+    Raises TooLittleEvidence, EvidenceDisagrees; if `mode` needs ground pictures and there are none, before any search.
     """
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
     cover = covering(list(seen.values())) if seen else None
-
-    def zoom_of_frames() -> float:
-        progress = _named(search.progress, "in the frames")
-        return find_zoom(source.pictures, search.detector, progress, search.effort, cover).zoom
-
-    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> Detections:
-        places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
-        return _planar(plans, search, covering(places) if places else None, of_frames)
-
+    plans = [] if mode == OBLIQUE else _plans(source, needed=mode in (PLANAR, BOTH))
+    places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
+    cover_above = covering(places) if places else None
     if mode == PLANAR:
-        from_above = planar(_plans(source, True), search, zoom_of_frames)
-        return replace(from_above, boxes={}, doubtful={}, set_aside={}, planar=from_above)
+        progress = _named(search.progress, "in the frames")
+        planar = _planar(
+            plans,
+            search,
+            cover_above,
+            lambda: find_zoom(source.pictures, search.detector, progress, search.effort, cover).zoom,
+        )
+        return replace(planar, boxes={}, doubtful={}, set_aside={}, planar=planar)
     found = search.vehicles(source.pictures, search.sampling.in_pictures if cover is not None else None, cover)
-    if mode == OBLIQUE:
-        return found
-    plans = _plans(source, mode == BOTH)
     if not plans:
         return found
     try:
-        known = found.zoom  # the same as `zoom_of_frames` would find
-        return replace(found, planar=planar(plans, search.within("from above"), lambda: known))
+        planar = _planar(plans, search.within("from above"), cover_above, lambda: found.zoom)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         return replace(found, notes=(*found.notes, f"planar sweep: {error.message}"))
+    return replace(found, planar=planar)
 
 
 def _planar(
@@ -119,25 +117,28 @@ def _planar(
     def enough(planar: Detections) -> bool:
         return spread is None or np.isfinite(spread(planar))
 
-    failed = None
+    def as_in_frames() -> Detections | None:
+        with suppress(TooLittleEvidence, EvidenceDisagrees):
+            again = replace(search, zoom=of_frames()).vehicles(plans, stop, cover)
+            if enough(again):
+                return again
+        return None
+
     try:
         found = search.vehicles(plans, stop, cover)
-        if search.zoom is not None or enough(found):
-            return found
-    except (TooLittleEvidence, EvidenceDisagrees) as error:
-        if search.zoom is not None:
+    except (TooLittleEvidence, EvidenceDisagrees):
+        again = None if search.zoom is not None else as_in_frames()
+        if again is None:
             raise
-        failed = error
-    with suppress(TooLittleEvidence, EvidenceDisagrees):
-        again = replace(search, zoom=of_frames()).vehicles(plans, stop, cover)
-        if enough(again):
-            return again
-    if failed is not None:
-        raise failed
-    return found
+        return again
+    if search.zoom is not None or enough(found):
+        return found
+    again = as_in_frames()
+    return found if again is None else again
 
 
-def _plans(source: PosedSet, needed: bool) -> list[GroundView]:
+def _plans(source: PosedSet, needed: bool = False) -> list[GroundView]:
+    """The ground pictures whose frames are there. Raises TooLittleEvidence if there are none and some are `needed`."""
     plans = [picture for picture in source.ground_pictures if picture.frame is not None]
     if needed and not plans:
         raise TooLittleEvidence(
@@ -170,7 +171,7 @@ def measured_anew(
     if len(found):
         found = remeasured(source.pictures, found, measurer, effort, progress, MOST_IN_FRAMES)
     if planar is not None:
-        plans = _plans(source, False)
+        plans = _plans(source)
         planar = remeasured(plans, planar, measurer, effort, _named(progress, "from above"))
     return replace(found, planar=planar)
 

@@ -20,7 +20,7 @@ from ..locate.outcome import LocateOutcome, document
 from ..locate.register import Known, PlaceFinder, register
 from ..photos.folders import find_photos
 from ..photos.looking import WITH_GSD, Looking
-from ..photos.measure import GivenCamera
+from ..photos.photo import GivenCamera
 from ..sources.satellite import Satellite
 
 LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")

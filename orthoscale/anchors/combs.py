@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
 from ..core.angles import axis_angle
-from ..core.normal import ROBUST_SD, median_sd, robust_sd
+from ..core.normal import ROBUST_SD, median_and_sd, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
@@ -147,7 +147,8 @@ def pitch(blocks: Sequence[Block]) -> float:
 
 def _scatter(period: np.ndarray) -> float:
     """Relative one sigma of the blocks' periods, robust."""
-    return float(robust_sd(period) / np.median(period))
+    median, sd = median_and_sd(period)
+    return float(sd / median)
 
 
 def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:

@@ -10,7 +10,8 @@ from ..errors import EvidenceDisagrees, UsageError
 from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
 from ..system.printing import echo
-from .many import Many, inputs, rehearse, run, tell_rehearsals
+from .dry_run import rehearse, tell_rehearsals
+from .many import Many, inputs, run
 from .options import (
     PATH,
     command,

@@ -25,7 +25,7 @@ from .options import (
 from .photo_options import LENS_FLAGS, lens_options
 
 if TYPE_CHECKING:
-    from ..photos.measure import GivenCamera
+    from ..photos.photo import GivenCamera
 
 
 @command(

@@ -27,7 +27,7 @@ from .options import (
 from .photo_options import lens_options
 
 if TYPE_CHECKING:
-    from ..photos.measure import GivenCamera
+    from ..photos.photo import GivenCamera
 
 
 @command(

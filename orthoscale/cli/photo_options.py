@@ -39,7 +39,7 @@ LENS_FLAGS = {"focal_px": "--focal-px", "lens_file": "--lens", "pitch": "--pitch
 
 def lens_options(function: Callable) -> Callable:
     """Adds --focal-px, --lens, --pitch and --roll, which replace the photo's own tags. The command gets them as one
-    mapping `lens` (`photos.measure.GivenCamera`)."""
+    mapping `lens` (`photos.photo.GivenCamera`)."""
 
     @wraps(function)
     def gathered(**given: Any) -> Any:

@@ -12,7 +12,8 @@ from ..errors import Incomplete, UsageError
 from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest, FixRequest
 from ..system.printing import echo
-from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
+from .dry_run import rehearse, rehearse_in_new_folder
+from .many import Many, inputs, run
 from .options import (
     EXIT_CODES,
     MEASURING,

@@ -18,7 +18,7 @@ from ..errors import UsageError
 from .detections import Detections
 from .fleet import Fleet
 from .market_segments import AXES
-from .normal import robust_sd
+from .normal import median_and_sd
 from .ruler import Ruler
 
 ISO_CODE = re.compile("[A-Z]{2}")
@@ -102,9 +102,9 @@ def local_fleet_entry(
     the mean. fleet : the country's; it gives the heights, and the spread where the noise hides it.
     """
     log = np.log(size)
-    middle = np.median(log, axis=0)
+    middle, scatter = median_and_sd(log)
     least = LEAST_SPREAD * np.sqrt(np.diag(fleet.log_covariance))
-    spread = np.maximum(np.sqrt(np.maximum(robust_sd(log) ** 2 - (noise / np.exp(middle)) ** 2, 0)), least)
+    spread = np.maximum(np.sqrt(np.maximum(scatter**2 - (noise / np.exp(middle)) ** 2, 0)), least)
     mean = [*(np.exp(middle) * (1 + spread**2 / 2)), fleet.mean[2]]
     sd = [*(mean[:2] * spread), fleet.sd[2]]
     known = [*relative_sd, fleet.mean_sd[2] / fleet.mean[2]]

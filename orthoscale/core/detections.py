@@ -9,7 +9,7 @@ from typing import Any
 from .boxes import Boxes
 from .confirmed import AS_LIKELY
 from .ruler import Ruler
-from .source import GROUND_FOLDER
+from .source import GROUND_FOLDER, Pictures
 
 # For boxes from a file that has no ruler: nobody has measured their margin.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
@@ -28,26 +28,6 @@ class Tile:
     height: int
     out_width: int
     out_height: int
-
-
-@dataclass(frozen=True)
-class Swept:
-    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of all tiles.
-    from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : the reason for
-    which the others were left out, in words; empty if none were."""
-
-    tiles: list[tuple[str, Tile]] = field(repr=False)
-    total: int
-    from_cache: int = 0
-    pictures: int = 1
-    why: str = ""
-
-    @property
-    def looked_at(self) -> str:
-        """The number processed and the total, in words: of frames if there are several pictures, else of tiles."""
-        if self.pictures == 1:
-            return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
-        return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
 
 
 @dataclass(frozen=True)
@@ -79,21 +59,43 @@ class ZoomChoice:
 
 
 @dataclass(frozen=True)
+class Swept:
+    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of all tiles.
+    from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : the reason for
+    which the others were left out, in words; empty if none were. zoom_choice : how their zoom was searched for; None if
+    the user gave it."""
+
+    tiles: list[tuple[str, Tile]] = field(repr=False)
+    total: int
+    from_cache: int = 0
+    pictures: int = 1
+    why: str = ""
+    zoom_choice: ZoomChoice | None = None
+
+    @property
+    def looked_at(self) -> str:
+        """The number processed and the total, in words: of frames if there are several pictures, else of tiles."""
+        if self.pictures == 1:
+            return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
+        return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
+
+
+@dataclass(frozen=True)
 class Detections:
     """Boxes by picture name [px of the picture], with what is needed to measure with them.
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : height up to which boxes enclose a vehicle seen obliquely, for its length and its width [m].
     undercut : how far inside its outline a vehicle meets the ground, along length and width [m]; 0 for not known.
-    objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
+    body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
     doubtful : boxes that only one detection pass finds, or both with low confidence (UNCONFIRMED), by picture name.
     set_aside : boxes that both passes find but that do not count, by the reason and picture name.
+    objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
     planar : the detections in a reconstruction's ground pictures, by the frame's name [px of the ground picture].
     sizes : width and height of the pictures on which the boxes were made [px], where they are known.
-    body : the vehicles' shape by the detector's card, one of `core.projection.exact.BODIES`.
-    swept : which tiles were processed; None for boxes from a file.
-    zoom_choice : how `zoom` was searched for; None if it was given, or if boxes are from a file.
-    zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are.
+    zoom_given : whether the user gave the zoom, or the size of a pixel, and so how large vehicles are; files keep it.
+    swept : how the boxes were found just now; None for boxes from a file.
+    notes : remarks for the user on what was found; files do not keep them.
 
     `orthoscale.formats.detections` reads and writes files of them.
     """
@@ -104,17 +106,16 @@ class Detections:
     effective_height: tuple[float, float]
     detector: str
     detector_sha256: str = ""
+    undercut: tuple[float, float] = (0.0, 0.0)
+    body: str = "car"
     doubtful: dict[str, Boxes] = field(default_factory=dict)
+    set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     planar: Detections | None = None
-    swept: Swept | None = None
-    zoom_choice: ZoomChoice | None = None
-    body: str = "car"
-    notes: tuple[str, ...] = ()
-    set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
-    undercut: tuple[float, float] = (0.0, 0.0)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     zoom_given: bool = False
+    swept: Swept | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
@@ -162,10 +163,11 @@ class Detections:
         names = set().union(self.boxes, self.doubtful, *self.set_aside.values(), self.objects)
         return names if self.planar is None else names | self.planar.pictures
 
-    def made_on(self, sizes: Mapping[str, tuple[int, int]]) -> Detections:
-        """The same with the sizes of its pictures, of the `sizes` (width, height) [px] by picture name."""
+    def made_on(self, source: Pictures) -> Detections:
+        """The same with the sizes of its pictures [px], which are those of `source`."""
         pictures = self.pictures
-        return replace(self, sizes={name: size for name, size in sizes.items() if name in pictures})
+        sizes = {name: source.image_size(name) for name in source.picture_names if name in pictures}
+        return replace(self, sizes=sizes)
 
     @property
     def assumed(self) -> tuple[str, ...]:

@@ -17,11 +17,16 @@ OF_FEW = (1.0, 0.5, 0.448671, 0.298200, 0.286834, 0.214743, 0.210447, 0.168181, 
 WIDER_FEW = (3.62, 5.47, 2.357, 2.117, 1.687, 1.598, 1.454, 1.405, 1.335)
 
 
+def median_and_sd(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(...) each: the median of normal `values` (N, ...) along their first axis, N >= 1, and one sigma of them from
+    their median absolute deviation. A few odd values change neither."""
+    median: np.ndarray = np.median(values, axis=0)
+    return median, ROBUST_SD * np.median(np.abs(values - median), axis=0)
+
+
 def robust_sd(values: np.ndarray) -> np.ndarray:
-    """(...) one sigma of normal `values` (N, ...) along their first axis, N >= 1, from their median absolute deviation:
-    a few odd ones do not change it."""
-    sd: np.ndarray = ROBUST_SD * np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    return sd
+    """(...) one sigma of normal `values` (N, ...): that of `median_and_sd`."""
+    return median_and_sd(values)[1]
 
 
 def of_median(count: ArrayLike) -> np.ndarray:

@@ -63,22 +63,24 @@ def find_vehicles(
         choice = find_zoom(pictures, detector, progress, effort, cover)
         zoom = choice.zoom
     check_number(pictures, zoom)
-    sweep = _Sweep(pictures, detector, zoom, effort, progress)
+    sweep = _Sweep(pictures, detector, zoom, choice, effort, progress)
     found = sweep.whole() if sampling is None or effort.exhaustive else sweep.until_enough(sampling, cover)
     found = _without(found, WHY_EQUAL, _equal_things)
     if len(pictures) == 1:
         # Not for frames: their distances vary, so vehicles have several lengths, and distant ones are seldom confirmed.
         found = _without(found, WHY_SELDOM, seldom_confirmed)
-    return replace(found, zoom_choice=choice, zoom_given=choice is None)
+    return found
 
 
 @dataclass(frozen=True)
 class _Sweep:
-    """What is swept, and how. zoom : detector pixels per picture pixel."""
+    """What is swept, and how. zoom : detector pixels per picture pixel. choice : how it was searched for; None if the
+    user gave it."""
 
     pictures: Sequence[Picture]
     detector: Detector
     zoom: float
+    choice: ZoomChoice | None
     effort: Effort
     progress: Progress | None
 
@@ -127,7 +129,7 @@ class _Sweep:
             return sweep_twice(jobs, order, visit, cache, stop, progress, detector.sure, detector.passes)
 
     def _detections(self, found: Found) -> Detections:
-        """`found` with the detector's ruler."""
+        """`found` with the detector's ruler, and how the zoom was chosen."""
         card = self.detector.card
         return Detections(
             found.boxes,
@@ -138,9 +140,10 @@ class _Sweep:
             self.detector.sha256,
             doubtful=found.doubtful,
             objects=found.objects,
-            swept=found.swept,
+            swept=replace(found.swept, zoom_choice=self.choice),
             body=card.body,
             undercut=card.undercut,
+            zoom_given=self.choice is None,
         )
 
 

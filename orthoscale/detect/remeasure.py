@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
-from ..core.normal import robust_sd
+from ..core.normal import median_and_sd
 from ..core.progress import Progress
 from ..core.remarks import signed
 from ..core.ruler import Ruler
@@ -246,8 +246,7 @@ def _change(seen: _Seen) -> _Change:
     after = Boxes.concatenate([seen.told[name].boxes for name in seen.proposed])
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
-    log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])
-    return _Change(np.median(log_ratio, axis=0), robust_sd(log_ratio))
+    return _Change(*median_and_sd(np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])))
 
 
 def _corrected(boxes: Boxes, change: _Change) -> Boxes:

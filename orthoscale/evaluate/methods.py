@@ -15,7 +15,8 @@ from ..core.pooling.paper import pool_iqr
 from ..core.projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
 from ..errors import InputError, TooLittleEvidence
 from ..photos.depth.maps import Depths
-from ..photos.measure import Photo, measure
+from ..photos.measure import measure
+from ..photos.photo import Photo
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..formats.points import decimal_commas
 from ..formats.reading import Table, absent, files_below, read_table, read_text, refuse_repeated
 from ..photos.folders import IMAGE_SUFFIXES
-from ..photos.measure import GIMBAL_SD, RIGHT, Photo, open_photo
+from ..photos.photo import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
 from ..system.paths import name_of
 from .surface import Surface

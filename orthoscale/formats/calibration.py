@@ -43,5 +43,11 @@ def load_calibration(path: str | Path) -> Calibration:
     hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
     text = read_plain(path, "a calibration", hint)
     entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)
-    known = entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from
-    return Calibration(*known, called=str(path))
+    return Calibration(
+        detector=entry.detector,
+        detector_sha256=entry.detector_sha256,
+        ruler=entry.ruler.ruler,
+        fleet_entry=text["fleet"],
+        made_from=entry.made_from,
+        called=str(path),
+    )

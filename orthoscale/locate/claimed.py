@@ -13,7 +13,8 @@ from ..core.normal import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.looking import Looking, boxes_of
-from ..photos.measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from ..photos.measure import Interval90, PhotoScale, measure
+from ..photos.photo import GivenCamera, Photo, open_photo, open_sound_photo
 from ..sources.lens import lens_of
 from ..sources.tags import read_tags
 from .level import LevelledPhoto

@@ -12,7 +12,7 @@ from ..core.projection.level import level_axes
 from ..core.projection.view import LOWEST_ELEVATION
 from ..core.source import NO_DATA_GREY
 from ..errors import TooLittleEvidence
-from ..photos.measure import Photo
+from ..photos.photo import Photo
 from .ground import GroundImage
 
 EDGE_POINTS = 24  # along each side of a grid over the photo, by which its extent on the ground is found

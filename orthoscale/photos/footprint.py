@@ -11,7 +11,8 @@ from ..errors import TooLittleEvidence
 from ..sources.picture_file import PictureFile
 from ..sources.tags import read_tags
 from .looking import Looking, boxes_of
-from .measure import GivenCamera, measure, open_photo
+from .measure import measure
+from .photo import GivenCamera, open_photo
 
 if TYPE_CHECKING:
     from typing import Unpack

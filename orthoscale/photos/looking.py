@@ -20,7 +20,7 @@ from ..sources.country import fleet_at, named_fleet
 from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from ..system.outputs import Outputs
-from .measure import Photo
+from .photo import Photo
 
 WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why options of measuring do nothing
 

@@ -20,7 +20,8 @@ from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
 from .looking import Looking, PhotoBoxes, boxes_of
-from .measure import GivenCamera, Interval90, Photo, PhotoScale, measure, open_photo, open_sound_photo
+from .measure import Interval90, PhotoScale, measure
+from .photo import GivenCamera, Photo, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:

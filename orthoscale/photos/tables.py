@@ -17,7 +17,8 @@ from ..formats.names import json_in_utf8
 from ..formats.vector import write_layer
 from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
-from .measure import Interval90, Photo, PhotoScale
+from .measure import Interval90, PhotoScale
+from .photo import Photo
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
 ALL_TOGETHER = "all together"  # in place of a photo's name, in the row for all

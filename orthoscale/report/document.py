@@ -148,7 +148,8 @@ def _frame_bytes(source: Source) -> dict[str, int]:
 def _of_detection(found: Detections) -> dict[str, Any]:
     """The detector, the scale search, and how much of the pictures was processed (``sweep``): None where boxes came
     from a file."""
-    swept, choice = found.swept, found.zoom_choice
+    swept = found.swept
+    choice = None if swept is None else swept.zoom_choice
     return {
         "detector": {
             "name": found.detector,

@@ -120,7 +120,8 @@ class Result(MeasuredSource, Brief):
         cures = []
         if "fleet" not in self.settings:
             cures.append("name the country's fleet (--fleet)")
-        if self.detections.zoom_choice is not None:  # the scale search may have found other things than vehicles
+        swept = self.detections.swept
+        if swept is not None and swept.zoom_choice is not None:  # the search may have found other things
             claimed = self.source.claimed
             told = claimed is not None and claimed.gsd_m is not None and claimed.usable and self.source.plan is not None
             size = f"{claimed.gsd_m:.3g}, as its georeferencing claims" if claimed and told else "METRES_PER_PIXEL"

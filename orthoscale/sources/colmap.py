@@ -100,9 +100,19 @@ class ColmapSource:
             notes += check_frames(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
-        images = None if images is None else Path(images)
-        found = files.folder, files.format, pictures, notes, files.paths, model
-        return cls(Path(path), *found, images, need_images, _stamps=files.stamps, _parts=files.parts)
+        return cls(
+            path=Path(path),
+            folder=files.folder,
+            input_format=files.format,
+            pictures=pictures,
+            notes=notes,
+            images=None if images is None else Path(images),
+            need_images=need_images,
+            _paths=files.paths,
+            _model=model,
+            _stamps=files.stamps,
+            _parts=files.parts,
+        )
 
     def on_cloud(self, cloud: DenseCloud) -> Self:
         """The same source, with its ground found from the dense `cloud`. Raises InputError."""

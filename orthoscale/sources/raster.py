@@ -17,14 +17,12 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from ..core.claims import NO_PROOF
 from ..core.control import READING_SD
 from ..core.projection.planar import square_pixels
-from ..core.remarks import CAUTION, INFO, Remark, informing
+from ..core.remarks import INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Located, Picture, Placement
-from ..errors import InputError, UsageError, shown
-from ..formats.names import first_few
+from ..errors import InputError, UsageError
 from ..formats.other_programs import what_instead
 from ..formats.points import pixel
 from ..formats.reading import absent
@@ -34,8 +32,9 @@ from .fingerprint import Stamp, another, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
-from .raster_copy import SCALE_TAG, Original
+from .raster_copy import Original
 from .raster_display import EXPORT_BITS, Display
+from .raster_notes import of_copy, of_image
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them too, or write the VRT again."
@@ -49,11 +48,6 @@ SMALLEST = 32
 
 LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
-
-CAMERA_TAGS = {"EXIF_FocalLength", "EXIF_FocalLengthIn35mmFilm"}  # as GDAL names them; orthophotos have none
-SQUEEZED = 0.05
-"""Width over height of a pixel, as a logarithm, from which its user is cautioned: what it leaves open of the scale is
-about a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
 
 
 class RasterSource:
@@ -96,30 +90,7 @@ class RasterSource:
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, after the first read, a copy of it in blocks
         self.claimed = claim_of(dataset, projection)
-        if said := other_claims(path, dataset, self.claimed):
-            counts = f"{self.claimed.gsd_m:.4g} m/px is taken for its claim, as GDAL and QGIS do, but {', '.join(said)}"
-            self.notes.append(Remark(CAUTION, counts))
-        if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
-            text = (
-                f"the picture is to be rotated when shown (EXIF orientation {turned}): coordinates and boxes "
-                "are those of the pixels as stored"
-            )
-            self.notes.append(Remark(INFO, text))
-        if not self.claimed.usable and CAMERA_TAGS & dataset.tags().keys():
-            text = (
-                "its EXIF has a camera's focal length: it is measured as an orthophoto, but seems to be a photo; "
-                "`orthoscale photo` measures photos, and `orthoscale fix` the model that COLMAP makes of them"
-            )
-            self.notes.append(Remark(CAUTION, text))
-        if (told := dataset.tags().get(SCALE_TAG)) is not None:
-            self.notes.append(Remark(INFO, f"by its metadata ({shown(told.split(',')[0])}), {NO_PROOF}"))
-        if (aspect := self.claimed.aspect) != 1:
-            squeezed = abs(math.log(aspect)) > SQUEEZED
-            text = (
-                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles appear so too: the scale, "
-                "the geometric mean of both sides, is less certain (warp it to UTM first)"
-            )
-            self.notes.append(Remark(CAUTION if squeezed else INFO, text))
+        self.notes += of_image(dataset, self.claimed, other_claims(path, dataset, self.claimed))
 
     @classmethod
     def open(cls, path: str | Path) -> RasterSource:
@@ -413,22 +384,7 @@ class RasterSource:
         self._require_unchanged()
         original.write(path, place, cog, said)
         self._require_unchanged()
-        notes = [f"{path.name}: {place.said}"]
-        if original.is_cog and not cog:
-            notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
-        if original.has_several_nodata:
-            notes.append(f"bands of {self.name} have several nodata values, a GeoTIFF has one: {path.name} has a mask")
-        if original.images > 1:
-            notes.append(f"{path.name} has only the first of the {original.images} images in {self.name}")
-        if count := original.transparent_colours:
-            what = f"colours of the palette of {self.name} that are transparent there, wholly or in part ({count})"
-            notes.append(f"{what}, are opaque in {path.name}: the palette of a GeoTIFF has no transparency")
-        if cog and (lost := original.lost_in_cog):
-            why = "GDAL leaves them out of a cloud-optimised file with other metadata; a copy without --cog has them"
-            notes.append(f"{path.name} lacks the bands' metadata of {self.name} ({first_few(lost)}): {why}")
-        if told := original.sizes_told(cog):
-            notes.append(f"{path.name} keeps {', '.join(told)} in its metadata, which may tell the former scale")
-        self.notes += [note for note in informing(notes) if note not in self.notes]
+        self.notes += [note for note in informing(of_copy(path.name, original, place, cog)) if note not in self.notes]
 
 
 @lru_cache(maxsize=4)

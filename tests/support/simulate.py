@@ -186,7 +186,7 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
 
 
 def _vehicles_of_place(rng: np.random.Generator, fleet: Fleet) -> float:
-    """A random number of vehicles from which a place's shares are as if drawn (`market_segments.Places`)."""
+    """A random number of vehicles from which a place's shares are as if drawn (`market_segments.PlaceKind`)."""
     kinds = fleet.place_vehicles
     return float(rng.choice([kind.vehicles for kind in kinds], p=[kind.probability for kind in kinds]))
 

@@ -30,13 +30,14 @@ import cv2
 import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.normal import median_and_sd
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
 from orthoscale.detect.shade import LEAST_PAINTED, dark_and_light, larger
 from orthoscale.detect.tiles import FunctionDetector
 from orthoscale.fleets import load_fleet
-from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
+from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
 
 from .chain import photograph, pyramid, sharpen, stretch
@@ -98,8 +99,8 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
         s = t[here & (t[:, 7] > 0)]
         if len(s) < 5:
             continue
-        bias, spread = middle(s[:, 1:3])
-        _, z = middle(s[:, 1:3] / s[:, 5:7])
+        bias, spread = median_and_sd(s[:, 1:3])
+        _, z = median_and_sd(s[:, 1:3] / s[:, 5:7])
         follow = [np.polyfit(s[:, 3 + j], s[:, 1 + j].clip(-0.3, 0.3), 1)[0] for j in (0, 1)]
         lines.append(
             f"{low:4d} to {high:4d} {here.sum():5d} {len(s) / here.sum():6.2f}  | {100 * bias[0]:+10.2f} % "
@@ -126,7 +127,7 @@ def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
                 sizes.append(np.append(np.log(told.boxes.xylwa[0, 2:4] / shot.box[2:4]), trusted(told)[0]))
             if sizes[0][2] and sizes[1][2]:
                 moved.append([*(sizes[1][:2] - sizes[0][:2]), *sizes[1][:2]])
-    m, s = middle(np.array(moved))
+    m, s = median_and_sd(np.array(moved))
     return (
         f"{len(moved)} rendered vehicles: with shadows the length changes by {100 * m[0]:+.2f} % (spread "
         f"{100 * s[0]:.2f}), the width by {100 * m[1]:+.2f} % ({100 * s[1]:.2f}); bias with shadows "
@@ -299,7 +300,7 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
         parts = []
         for values in (told[name], boxes[name]):
             if values:
-                m, s = middle(np.array(values))
+                m, s = median_and_sd(np.array(values))
                 parts += [f"{100 * m[j]:+8.2f} {100 * s[j]:5.2f}" for j in (0, 1)]
         lines.append(f"{name:24s}" + "  ".join(f"{p:>16s}" for p in parts))
     return "\n".join(lines)
@@ -385,11 +386,11 @@ def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
         found = t[:, 4] > 0
         if ok.sum() < 3:
             continue
-        m, s = middle(t[ok, :2])
+        m, s = median_and_sd(t[ok, :2])
         if scene.name not in (*LEARNT, *SLANTED) and ok.sum() >= FEWEST:
             size = np.median([b for p in scene.pictures for b in p.vehicles], axis=0)[2:4]
             places.append(Place(m, variance_of(s, ok.sum()), size * [1, WIDTH_HABIT]))
-        dm, ds = middle(t[found, 2:4])
+        dm, ds = median_and_sd(t[found, 2:4])
         lines.append(
             f"{scene.name:12s} {len(t):3d} {found.sum():4d} {ok.sum():5d}   | {100 * m[0]:+8.2f} {100 * s[0]:6.2f}    "
             f"{100 * m[1]:+8.2f} {100 * s[1]:6.2f} | {100 * dm[0]:+8.2f} {100 * ds[0]:6.2f}   "

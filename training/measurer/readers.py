@@ -20,9 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.core.normal import median_and_sd
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import Measurer
-from training.evaluate import BY_HAND, measured_scenes, middle
+from training.evaluate import BY_HAND, measured_scenes
 
 from .evaluate import FEWEST, SHIPPED, Place, against_readings, variance_of
 from .real import READ as LEARNT
@@ -106,7 +107,7 @@ def read_by(measurer: Measurer, detector: Detector, data: Path, file: Path, read
         if sure.sum() < FEWEST:
             continue
         size = np.concatenate([p.vehicles for p in scene.pictures])[sure, 2:4]
-        median, spread = middle(rows[sure, :2])
+        median, spread = median_and_sd(rows[sure, :2])
         variance = variance_of(spread, sure.sum())
         found.append(Reading(median, variance, np.median(size, axis=0), reader=reader, place=scene.name))
     return found

@@ -26,10 +26,11 @@ import cv2
 import numpy as np
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.normal import median_and_sd
 from orthoscale.detect.measurer import Measurer
 from training.by_hand import BY_HAND, Cell, cell_about, measured, read_answers, store, write_sheets
 from training.data import as_stored
-from training.evaluate import measured_scenes, middle
+from training.evaluate import measured_scenes
 
 from .chain import jpeg, sharpen
 from .evaluate import trusted
@@ -189,7 +190,7 @@ def told(measurer: Measurer, data: Path, readers: Sequence[str]) -> str:
 
     def line(name: str, changes: Sequence[np.ndarray]) -> str:
         rows = np.array([c for c in changes if np.isfinite(c).all()])
-        median, spread = middle(rows)
+        median, spread = median_and_sd(rows)
         error = spread * np.sqrt(np.pi / 2 / len(rows))
         parts = (f"{100 * m:+5.1f} +- {100 * e:.1f} %" for m, e in zip(median, error, strict=True))
         return f"{name:44s} {len(rows):3d}: length {{}}, width {{}}".format(*parts)

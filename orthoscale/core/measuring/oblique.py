@@ -100,10 +100,21 @@ class FramesGeometry:
         footing = standing_in_model(source, np.array(names), place, sides, shown)
         view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)
         card = card_of(found)
-        seen = (source, found, fleet, boxes, np.array(names), view, lost, footing, card, card)
-        if method.projection in (None, "exact"):
-            return ExactGeometry(*seen)
-        return OtherGeometry(*seen, projection=method.projection)
+        projection = method.projection or "exact"
+        chosen = ExactGeometry if projection == "exact" else OtherGeometry
+        return chosen(
+            source=source,
+            found=found,
+            fleet=fleet,
+            boxes=boxes,
+            picture=np.array(names),
+            views=view,
+            lost=lost,
+            footing=footing,
+            card=card,
+            ruler=card,
+            projection=projection,
+        )
 
     @property
     def unit(self) -> str:
@@ -135,7 +146,7 @@ class FramesGeometry:
         """(M, 2) how much of a vehicle's height each box shows along length and width, from `height.lean`."""
         return lean(self.boxes, self.views)
 
-    def seen(self, metres_per_unit: float) -> SeenBoxes:
+    def boxes_seen(self, metres_per_unit: float) -> SeenBoxes:
         """The boxes with their views, at this scale."""
         return SeenBoxes(self.boxes, self.views, self.found.zoom, metres_per_unit)
 
@@ -155,7 +166,8 @@ class FramesGeometry:
     def _findings(
         self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, vehicles: Votes, scale: Scale
     ) -> Findings:
-        """shipped : (M, 2) sizes by the detector's card. bare : (M, 2) sizes by `ruler`; both without the margin."""
+        """From two sizes of the boxes, without the margin: `shipped` (M, 2) by the detector's card, and `bare` (M, 2)
+        by `ruler`."""
         ok = seen.solved
         changes = trends(
             shipped[ok], bare[ok], np.degrees(self.views.elevation[ok]), self.pixel[ok], vehicles.counted(scale.used)
@@ -173,8 +185,8 @@ class ExactGeometry(FramesGeometry):
 
     def observe(self, metres_per_unit: float) -> Observation:
         """Sizes by the current ruler; the margin comes off the boxes before they are projected."""
-        ruler, known, seen = self.ruler, self.found.ruler, self.seen(metres_per_unit)
-        size, slopes = ruler.size(seen), ruler.slopes(seen)
+        ruler, known, boxes = self.ruler, self.found.ruler, self.boxes_seen(metres_per_unit)
+        size, slopes = ruler.size(boxes), ruler.slopes(boxes)
         solved = np.isfinite(size).all(1)
         if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that they may be nothing but margin
             return Observation(np.full_like(size, np.nan), known)
@@ -184,26 +196,26 @@ class ExactGeometry(FramesGeometry):
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # already off
         by_body = np.sqrt(sd[:, HEIGHT] ** 2 + np.square(sd[:, SHAPE]).sum(1))
         left_of_card = ruler.left_of_height(self.card, size[solved], slopes[solved])
-        systematic = of_height(by_body, left_of_card).and_shared(self._shared(seen, size))
+        systematic = of_height(by_body, left_of_card).and_shared(self._shared(boxes, size))
         lasting = of_each_view(self.footing.each, self.leaning, size * metres_per_unit)
         return Observation(size, left, systematic, lasting)
 
-    def _shared(self, seen: SeenBoxes, size: np.ndarray) -> dict[str, np.ndarray]:
-        """The errors from the ground and the focal length, as in `Systematic.shared`. size : (M, 2) of the boxes `seen`
+    def _shared(self, boxes: SeenBoxes, size: np.ndarray) -> dict[str, np.ndarray]:
+        """The errors from the ground and the focal length, as in `Systematic.shared`. size : (M, 2) of the `boxes`
         [units]."""
         if not self.source.focal.sd:
             return self.footing.alike
-        longer = self.ruler.size(replace(seen, views=self.views.with_focal(1 + self.source.focal.sd)))
+        longer = self.ruler.size(replace(boxes, views=self.views.with_focal(1 + self.source.focal.sd)))
         return {**self.footing.alike, "focal length": larger_by(longer, size)}
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """The same with the ruler by which vehicles have the same size in all their views."""
-        boxes = self.seen(scale.value)[seen.solved]
+        boxes = self.boxes_seen(scale.value)[seen.solved]
         return replace(self, ruler=self_calibrated(boxes, votes.counted(scale.used), self.card, self.ruler))
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """The ruler, and how the scale changes from frame to frame and from place to place."""
-        shipped = self.card.size(self.seen(scale.value))
+        shipped = self.card.size(self.boxes_seen(scale.value))
         return self._findings(seen, shipped, seen.size, vehicles, scale)
 
 

@@ -16,7 +16,7 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from ..normal import robust_sd
+from ..normal import median_and_sd
 from ..source import PosedSet
 from ..votes import FOUND_IN, SAME_PLACE, same_place
 from .footing import GROUND_SD, Footing
@@ -254,8 +254,9 @@ def _combined(
     by the same amount everywhere, or by varying amounts. The cases are averaged, weighted by their posterior
     probabilities."""
     boxes = _Spots(place, sd)
-    stray = np.abs(seen.lower - np.median(seen.lower))
-    keep = stray < STRAY_VEHICLE * np.sqrt(robust_sd(seen.lower) ** 2 + seen.variance + (UNEVEN * height) ** 2)
+    middle, scatter = median_and_sd(seen.lower)
+    stray_sd = np.sqrt(scatter**2 + seen.variance + (UNEVEN * height) ** 2)
+    keep = np.abs(seen.lower - middle) < STRAY_VEHICLE * stray_sd
     if keep.sum() < FEWEST_STANDING:
         return _of_sheet(sd / above)
     at = _Spots(seen.place, sd[cKDTree(place).query(seen.place)[1]])[keep]

@@ -116,7 +116,7 @@ def _without(images: Sequence[str]) -> str:
 
 def _listed(said: Sequence[str]) -> str:
     more = len(said) - PARTS_NAMED
-    return "; ".join(said[:PARTS_NAMED]) + (f"; and {more} more parts" if more > 0 else "")
+    return "; ".join(said[:PARTS_NAMED]) + (f"; and {amount(more, 'more parts')}" if more > 0 else "")
 
 
 def found_in(images: Container[str], found: Detections) -> Detections:

@@ -59,8 +59,8 @@ def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0, s
     for check in (if_apart, if_in_order, if_unlike):
         scale = check(scale, used)
     if searched:
-        scale = if_alone(scale, boxes)
-    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), uncounted, searched)
+        scale = if_by_chance(if_alone(scale, boxes), len(boxes) + uncounted)
+    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), uncounted)
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
@@ -132,6 +132,21 @@ def if_alone(scale: Scale, boxes: Boxes) -> Scale:
     return scale.remarked(remark, at_best=UNUSABLE)
 
 
+def if_by_chance(scale: Scale, seen: int) -> Scale:
+    """`scale`, refused if it uses few vehicles, and these are few of all boxes `seen`, counting or not: a share of
+    OF_MISTAKES or less. So many of them may agree on some size by chance."""
+    used = scale.vehicles_used
+    if seen < LEAST_SEEN or used >= LEAST_USED or used > OF_MISTAKES * seen:
+        return scale
+    remark = Remark(
+        REFUSAL,
+        f"only {used} of {seen} boxes agree on a size of vehicles ({percent(used / seen)}), as may be by chance: check "
+        "whether there are vehicles at all",
+        INSPECT,
+    )
+    return scale.remarked(remark, at_best=UNUSABLE)
+
+
 def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     """`scale`, less certain and doubted if pixels are not as square as assumed; refused if they are far from it.
 
@@ -153,24 +168,22 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     return less.remarked(remark, at_best=UNUSABLE if far else AT_BEST_DOUBTED)
 
 
-def if_confirmed(scale: Scale, believed: int, uncounted: int, searched: bool = True) -> Scale:
+def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
     """`scale`, with its verdict one step lower and ``poor`` at best where few of all boxes count.
 
     believed : number of boxes that count: found by both detection passes and not set aside (`Detections.set_aside`).
     uncounted : number of the others. Few is a share of OF_MISTAKES or less. The scale is refused where less than
-    HARDLY_ANY count and these do not agree well; where few count and more than MANY_LARGER of the vehicles are larger
-    ones; and where few vehicles of a size that was `searched` for (see `plausible`) are few of all boxes.
+    HARDLY_ANY count and these do not agree well, and where more than MANY_LARGER of the vehicles are larger ones.
 
     Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
     skylights and sheds, also gives boxes. If these have some other size, they give as certain a scale as vehicles, and
     anchors then follow it. Many vehicles much larger than cars are a bad sign there: the supposed cars may be graves or
     tents, and the supposed larger vehicles the cars.
     """
-    seen, used = believed + uncounted, scale.vehicles_used
-    by_chance = searched and used < LEAST_USED and used <= OF_MISTAKES * seen
-    if seen < LEAST_SEEN or (believed > OF_MISTAKES * seen and not by_chance):
+    seen = believed + uncounted
+    if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
-    refused = by_chance or (believed < HARDLY_ANY * seen and scale.half_width > AGREEING)
+    refused = believed < HARDLY_ANY * seen and scale.half_width > AGREEING
     few = Remark(
         REFUSAL if refused else CAUTION,
         f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as among false detections: check "

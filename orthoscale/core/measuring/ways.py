@@ -134,8 +134,8 @@ def _answer(
             agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].findings.calibration
         )
         agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
-    answer = modes[name] if (name := alone(agreement)) is not None else first
-    scale = together(agreement)
+    name, scale = alone(agreement), together(agreement)
+    answer = first if name is None else modes[name]
     if name is None:
         with suppress(TooLittleEvidence):  # among all vehicles of both modes, too few may agree on one scale
             scale = _by_vehicles(source, found, modes, fleet, method)

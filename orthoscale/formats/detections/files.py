@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...core.boxes import Boxes, distinct
+from ...core.boxes import Boxes
 from ...core.detections import Detections
-from ...core.remarks import CAUTION, INFO, Remark
+from ...core.remarks import INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
-from ..names import composed, in_utf8, json_in_utf8
+from ..names import in_utf8, json_in_utf8
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
 from .classes import plain
+from .fitting import fitted, sizes_in
 from .items import Item, boxes_by_picture, other_name, rectangles, sizes_of
 from .own import WHAT, note, noted, of_document, save_detections
 
@@ -69,7 +70,7 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     """
     check_name(path)
     suffix = path.suffix.lower()
-    found = found.made_on(_sizes(source)).renamed(in_utf8)
+    found = found.made_on(source).renamed(in_utf8)
     if suffix == ".txt":
         dota.write(path, found.boxes, [in_utf8(name) for name in source.picture_names])
     elif suffix == ".gpkg":
@@ -92,55 +93,65 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alon
     left out. If file and source have a single picture each, the names need not agree, with a note, if it is `alone`.
     Raises InputError, also for boxes that were made on a picture of another size, where the file tells.
     """
-    suffix = path.suffix.lower()
-    kept: Mapping[str, Any] | None = None
-    own_sizes = _sizes(source)
-    sizes: dict[str, tuple[int, int]] = {}  # as in the file
-    items: list[Item]
-    if path.is_dir() or suffix == ".txt":
-        items = dota.read(path, only_picture=len(source.picture_names) == 1 and not path.is_dir())
-        if any(item.relative for item in items):
-            items = _of_vehicles(items, vehicle_classes, path)
-    elif suffix == ".csv":
-        items = table.read(path)
-    elif suffix == ".gpkg":
-        items, kept = geo.read_geopackage(path, _place(source))
-    else:
-        text = read_plain(path, WHAT, f"Detections end in {', '.join(READABLE)}.", LARGE)
-        if geo.is_geojson(text):
-            items, kept = geo.read_geojson(text, str(path), _place(source)), text.get("orthoscale")
-        elif coco.is_coco(text):
-            items, sizes = coco.read(text, str(path))
-            kept = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
-        else:
-            return _of_own_document(of_document(text, path), source, path, alone)
+    content = _content(path, source)
+    if isinstance(content, Detections):
+        return _of_own_document(content, source, path, alone)
+    items, own_sizes = content.items, sizes_in(source)
+    if any(item.relative for item in items):
+        items = _of_vehicles(items, vehicle_classes, path)
     other = other_name([item.picture for item in items], source.picture_names) if alone else None
     if other is not None:
         (name,) = source.picture_names
         items = [replace(item, picture=name) for item in items]
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
-    found = noted(boxes, kept, f"boxes of {path.name}", str(path))
+    found = noted(boxes, content.note, f"boxes of {path.name}", str(path))
     if not found.objects:
         found = replace(found, objects=_objects(items, own_sizes, path))
-    if kept is not None:
+    if content.note is not None:
         _check_resampled(items, path)
-    found = replace(found, sizes={**found.sizes, **sizes})
+    found = replace(found, sizes={**found.sizes, **content.sizes})
     if other is not None:
         found = found.renamed(lambda picture: name if picture == other else picture)
     if any(item.on_map for item in items):
         found = _on_this_map(found, source, path)
-    return _checked(found, source, path, other)
+    return fitted(found, source, path, other)
+
+
+class _Content(NamedTuple):
+    """What a file of another format than our own has. note : that of `own.note`, if we wrote the file. sizes : width
+    and height of its pictures [px], by its names for them."""
+
+    items: list[Item]
+    note: Mapping[str, Any] | None = None
+    sizes: Mapping[str, tuple[int, int]] = MappingProxyType({})
+
+
+def _content(path: Path, source: Pictures) -> _Content | Detections:
+    """What the file or folder at `path` has; of one in our own format, the detections. Raises InputError."""
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix == ".txt":
+        return _Content(dota.read(path, only_picture=len(source.picture_names) == 1 and not path.is_dir()))
+    if suffix == ".csv":
+        return _Content(table.read(path))
+    if suffix == ".gpkg":
+        return _Content(*geo.read_geopackage(path, _place(source)))
+    text = read_plain(path, WHAT, f"Detections end in {', '.join(READABLE)}.", LARGE)
+    if geo.is_geojson(text):
+        return _Content(geo.read_geojson(text, str(path), _place(source)), text.get("orthoscale"))
+    if coco.is_coco(text):
+        items, sizes = coco.read(text, str(path))
+        return _Content(items, (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None, sizes)
+    return of_document(text, path)
 
 
 def _of_own_document(found: Detections, source: Pictures, path: Path, alone: bool) -> Detections:
     """The vehicles in the pictures of `source`, from a file in our own format. Raises InputError."""
-    aside = [name for some in found.set_aside.values() for name in some]
     other = None
     if alone and len(found) and found.planar is None:
-        other = other_name([*found.boxes, *found.doubtful, *found.objects, *aside], source.picture_names)
+        other = other_name(found.pictures, source.picture_names)
     if other is not None:
         found = found.renamed(lambda name: source.picture_names[0])
-    return _checked(found, source, path, other)
+    return fitted(found, source, path, other)
 
 
 def _check_resampled(items: Sequence[Item], path: Path) -> None:
@@ -194,109 +205,3 @@ def _write(text: Any, path: Path) -> None:
 
 def _place(source: Pictures) -> geo.Georeference | None:
     return None if source.claimed is None else geo.Georeference.of(source.claimed)
-
-
-def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
-    return {name: source.image_size(name) for name in source.picture_names}
-
-
-def _check_sizes(told: Sequence[tuple[str, tuple[int, int]]], sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
-    for name, (width, height) in told:
-        if (width, height) not in (sizes[name], (0, 0)):
-            raise InputError(
-                f"{path}: its {name} has {width} x {height} px, the source's {sizes[name][0]} x {sizes[name][1]}",
-                "Give detections made on this picture at this size; boxes of another size measure another scale.",
-            )
-
-
-def _checked(found: Detections, source: Pictures, path: Path, other: str | None) -> Detections:
-    """`found` without pictures that `source` does not have (as of a workspace's other models), and without boxes that
-    repeat another. other : the file's name for the single picture, if it differs from the source's.
-
-    Raises InputError if `found` has none of the source's pictures, boxes outside of them, or impossible boxes.
-    """
-    sizes = _sizes(source)
-    _check_sizes(sizes_of(found.sizes, source.picture_names), sizes, path)
-    found = _in_source(_named_as_in(sizes, found), source, path)
-    _check_boxes(found, sizes, path)
-    _check_places(found.boxes, sizes, path, other)
-    if other is not None:
-        text = f"{path}: its boxes are of {shown(other)!r}, and were taken for those of {shown(next(iter(sizes)))!r}"
-        source.notes.append(Remark(CAUTION, text))
-    single = _without_copies(found, path)
-    if copies := len(found) - len(single):
-        text = f"{path}: {copies} of its {len(found)} boxes repeat the vehicle of another and were left out"
-        source.notes.append(Remark(INFO, text))
-    return single
-
-
-def _named_as_in(names: Collection[str], found: Detections) -> Detections:
-    """`found` with the source's own `names` for pictures whose names are written in another way: escaped as in UTF-8,
-    or of other Unicode characters that look the same."""
-    exact = {in_utf8(name): name for name in names}
-    found = found.renamed(lambda name: exact.get(name, name))
-    forms = Counter(map(composed, found.boxes))  # a file with both forms of a name means two pictures
-    alike = _by_composed([name for name in names if forms[composed(name)] < 2])
-    return found.renamed(lambda name: name if name in names else alike.get(composed(name), name))
-
-
-def _in_source(found: Detections, source: Pictures, path: Path) -> Detections:
-    """`found` in the pictures that `source` has, with a caution if there are others. Raises InputError if it has none
-    of them."""
-    known = dict.fromkeys(source.picture_names)
-    strangers = [name for name in found.boxes if name not in known]
-    if strangers and len(strangers) == len(found.boxes):
-        of = f"none of its {len(strangers)} pictures is" if len(strangers) > 1 else "its only picture is not"
-        raise InputError(
-            f"{path}: {of} in {source.path}{', the first is' if len(strangers) > 1 else ':'} {shown(strangers[0])!r}",
-            f"The source has pictures like {next(iter(known))!r}: give the detections that were made on it.",
-        )
-    if strangers:
-        note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
-        source.notes.append(Remark(CAUTION, note))
-    return found.only_in(known)
-
-
-def _check_places(
-    found: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], path: Path, other: str | None
-) -> None:
-    """Raise InputError for boxes whose centre lies outside of their picture; `other` as for `_checked`."""
-    for name, size in sizes.items():
-        boxes = found.get(name, Boxes.empty())
-        outside = ((boxes.centre < 0) | (boxes.centre > np.array(size))).any(1)
-        if outside.any():
-            x, y = boxes.centre[outside][0]
-            of = "" if other is None else f" of {shown(other)!r}"
-            raise InputError(
-                f"{path}: {int(outside.sum())} of {len(boxes)} boxes{of} lie outside of {name} "
-                f"({size[0]} x {size[1]} px), the first at x {x:.6g}, y {y:.6g}",
-                "Give detections made on this picture, in its pixels or its coordinates.",
-            )
-
-
-def _without_copies(found: Detections, path: Path) -> Detections:
-    """`found` with one box for each vehicle, in ground pictures too. Raises InputError for heaps of boxes."""
-    try:
-        single = {name: distinct(boxes) for name, boxes in found.boxes.items()}
-    except ValueError as error:
-        raise InputError(f"{path}: {error}", "Give detections with one box for each vehicle.") from error
-    return replace(found, boxes=single, planar=None if found.planar is None else _without_copies(found.planar, path))
-
-
-def _by_composed(names: Sequence[str]) -> dict[str, str]:
-    """`names` by their `composed` form; without those that differ only by it."""
-    forms = [composed(name) for name in names]
-    count = Counter(forms)
-    return {form: name for form, name in zip(forms, names, strict=True) if count[form] == 1}
-
-
-def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
-    """Raise InputError for impossible boxes, whatever format they came in."""
-    if found.planar is not None:
-        _check_boxes(found.planar, {}, path)  # in ground pictures, whose sizes are not in the file
-    every = (found.boxes, found.doubtful, *found.set_aside.values())
-    parts = [part for some in every for part in some.items()]
-    parts += [(name, boxes) for name, kinds in found.objects.items() for boxes in kinds.values()]
-    for name, boxes in parts:
-        if fault := boxes.fault(*sizes.get(name, (np.inf, np.inf))):
-            raise InputError(f"{path}: box {fault[0] + 1} of {shown(name)} {fault[1]}", "Remove it or correct it.")
