@@ -17,6 +17,7 @@ ONE = {  # the singular of each plural word
     "vehicles": "vehicle",
     "boxes": "box",
     "photos": "photo",
+    "images": "image",
     "parts": "part",
     "do": "does",
 }
