@@ -212,6 +212,7 @@ def test_what_was_found_in_opening_the_source_is_a_check_too(measured):
         (1, "usable vehicles", "1 usable vehicle"),
         (0, "usable vehicles", "0 usable vehicles"),
         (1, "photos", "1 photo"),
+        (1, "images", "1 image"),
         (1, "boxes do not count", "1 box does not count"),
         (1234, "boxes do not count", "1,234 boxes do not count"),
     ],
