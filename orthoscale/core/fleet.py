@@ -20,7 +20,7 @@ from .market_segments import AXES, Class, PlaceKind, classes_of, kinds_of, place
 MEAN_CORRELATION = 0.85
 # Share of a class at a place where most vehicles are of it, and its one sigma as a share of it. A judgement: half to
 # nine tenths is what people call most.
-MOST, MOST_SD = 0.7, 0.25
+MOSTLY, MOSTLY_SD = 0.7, 0.25
 WORLD = "WORLD"  # code of the fleet of a place whose country is not known
 
 
@@ -126,11 +126,11 @@ class Fleet:
         own = next(c for c in self.classes if c.name == name)
         drawn = self.place_vehicles[0].vehicles * own.weight / sum(c.weight for c in self.classes)
         return replace(
-            self.with_share(name, MOST),
+            self.with_share(name, MOSTLY),
             code=f"{self.code}:{name}",
             name=f"{self.name}, a place where most are of the class {name}",
-            mean_sd=np.hypot(self.mean_sd, MOST * own.sd / np.sqrt(drawn + 1)),
-            shares_sd=float(np.hypot(self.shares_sd, MOST_SD)),
+            mean_sd=np.hypot(self.mean_sd, MOSTLY * own.sd / np.sqrt(drawn + 1)),
+            shares_sd=float(np.hypot(self.shares_sd, MOSTLY_SD)),
             of_country=self.country,
         )
 

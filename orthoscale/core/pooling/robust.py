@@ -22,7 +22,7 @@ import numpy as np
 from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..evidence import Evidence, combined
-from ..fleet import MOST, Fleet
+from ..fleet import MOSTLY, Fleet
 from ..normal import of_median
 from ..remarks import CAUTION, INFO, Remark, amount, signed
 from ..ruler import Ruler
@@ -142,7 +142,7 @@ def proposed_class(votes: Votes, fleet: Fleet, ruler: Ruler, geometry: np.ndarra
     Only the user can say so: by sizes alone such a place hardly differs from one of other classes at another scale, and
     it is rare. Arguments as of `pool`, and the same error.
     """
-    if fleet.candidates or any(c.weight >= MOST for c in fleet.classes):
+    if fleet.candidates or any(c.weight >= MOSTLY for c in fleet.classes):
         return
     seen, known = _seen(votes, *_measurable(votes, ruler), ruler, geometry)
     names = [c.name for c in fleet.classes if c.weight < RARE]
