@@ -369,6 +369,12 @@ def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
     later(tmp_path / "scaled/a/sim3.json")
     done = run(*words)
     assert done.returncode == 2 and "a/sim3.json has changed since it was made" in done.stderr
+    assert "pass --overwrite" in done.stderr
+    (tmp_path / "scaled/a/sim3.json").write_text("{}")  # somebody's own work, which --overwrite does not replace
+    later(tmp_path / "scaled/a/sim3.json")
+    done = run(*words)
+    assert done.returncode == 2 and "Choose another place, or delete it yourself" in done.stderr
+    assert "--overwrite" not in done.stderr
 
 
 def test_a_copy_called_report_is_a_copy(tmp_path):

@@ -27,7 +27,7 @@ from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
-from orthoscale.system.signatures import FOLDER_MARK, ours, signature
+from orthoscale.system.signatures import FOLDER_MARK, ours, ours_in_a_folder, signature
 from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
@@ -180,10 +180,9 @@ def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path,
     with monkeypatch.context() as patch, pytest.raises(UsageError, match="already exists"):
         patch.setattr(reserved, "_locked", after_another_run)
         write(tmp_path / "a", text="mine")
-    there = state(tmp_path)
-    shutil.rmtree(tmp_path / "a") if write is write_folder else (tmp_path / "a").unlink()
-    write(tmp_path / "a", text="of the other run")
-    assert there == state(tmp_path)
+    assert names(tmp_path) == ["a"] and ours(tmp_path / "a")
+    file = tmp_path / "a/x" if write is write_folder else tmp_path / "a"
+    assert "of the other run" in file.read_text()
 
 
 @BOTH
@@ -312,6 +311,46 @@ def test_a_folder_within_a_folder_may_be_replaced_alone(tmp_path):
     assert ours(tmp_path / "all")
     (tmp_path / "all/0/precious").touch()
     assert not ours(tmp_path / "all")
+
+
+@pytest.mark.parametrize("changed", ["x", "0/x"])
+def test_a_folder_whose_files_were_changed_since_is_not_replaced(tmp_path, changed):
+    """Bundle adjustment run in place: the folder counted as orthoscale's, and the refined model was lost."""
+    with Outputs() as outputs:
+        folder = outputs.folder(tmp_path / "all")
+        (folder / "x").write_text("old")
+        write_folder(folder / "0", text="old")
+    file = tmp_path / "all" / changed
+    written = file.stat()
+    file.write_text("own")  # as many bytes
+    before = state(tmp_path)
+    said = f"all holds {changed}, which was changed since orthoscale wrote it, so it is not replaced"
+    with pytest.raises(UsageError, match=said) as caught:
+        write_folder(tmp_path / "all", overwrite=True)
+    assert caught.value.hint == "Choose another place, or delete it yourself." and state(tmp_path) == before
+    file.write_text("old")
+    assert file.stat().st_mtime_ns > written.st_mtime_ns
+    write_folder(tmp_path / "all", overwrite=True)
+
+
+def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
+    write_folder(tmp_path / "a", ("x", "report.html"))
+    mark = json.loads((tmp_path / "a" / FOLDER_MARK).read_text())
+    (tmp_path / "a" / FOLDER_MARK).write_text(json.dumps({**mark, "files": sorted(mark["files"])}))
+    (tmp_path / "a/x").write_text("another")
+    assert ours(tmp_path / "a") and ours_in_a_folder(tmp_path / "a/report.html")
+    (tmp_path / "a/precious").touch()
+    assert not ours(tmp_path / "a")
+
+
+def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path):
+    write_folder(tmp_path / "a", ("report.html", "other.html"))
+    (tmp_path / "a/other.html").write_text("<!-- my notes -->")
+    assert not ours_in_a_folder(tmp_path / "a/other.html")
+    with Outputs(overwrite=True) as outputs:
+        outputs.file(tmp_path / "a/report.html", ours_in_a_folder).write_text("<html></html>")
+    (tmp_path / "a/other.html").write_text("new")
+    assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
 
 
 def test_kinds_do_not_replace_each_other(tmp_path):

@@ -14,6 +14,8 @@ from ..option import flag, options_in
 from ..report.document import completed, read_json, replaced_frames
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
+from ..system.outputs import ELSEWHERE, REPLACE
+from ..system.signatures import ours
 from .fix import report_paths
 from .opening import source_of
 
@@ -49,7 +51,7 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
         return None
     source = source_of(path, request, need_images=False)
     if why := _otherwise(source, out, request, report):
-        raise UsageError(f"{out} already exists, and {why}", "Choose another place, or pass --overwrite to replace it.")
+        raise UsageError(f"{out} already exists, and {why}", REPLACE if ours(out) else ELSEWHERE)
     return report, source
 
 
