@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import shutil
 import struct
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.geometry import PCD_ROW, XYZ, glb, pcd, pcd_body
 from support.models import make_model
 from test_dense_ground import write_cloud
 
 from orthoscale.actions.apply import apply
 from orthoscale.errors import InputError
 from orthoscale.formats.geometry.dense import visibility_fault
-from orthoscale.formats.geometry.records import GAUSSIAN
+from orthoscale.formats.geometry.records import GAUSSIAN, STL_TRIANGLE
+from orthoscale.formats.geometry.vertices import vertices_in
 from orthoscale.sources.cloud_fit import cloud_fit
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.dense_cloud import check_workspace
@@ -186,6 +190,52 @@ def written(path, points):
         rows = np.zeros(len(points), np.dtype({"names": ["xyz"], "formats": ["3<i4"], "itemsize": 30}))
         rows["xyz"] = np.round((points - points[0]) / 1e-4)
         path.write_bytes(bytes(head) + rows.tobytes() + b"more records, after the points")
+    elif path.suffix == ".laz":
+        pytest.importorskip("lazrs")
+        laspy = pytest.importorskip("laspy")
+        cloud = laspy.create(point_format=3)
+        cloud.header.scales, cloud.header.offsets = [1e-4] * 3, points[0]
+        cloud.x, cloud.y, cloud.z = points.T
+        cloud.write(path)
+    elif path.suffix in (".glb", ".gltf"):  # placed twice below a turned and shifted node: there, and far away
+        turn = Rotation.from_euler("xyz", [1, 2, 3])
+        inside = turn.inv().apply((points - [1, 2, 3]) / 2).astype("<f4")
+        rows = np.zeros((len(points), 5), "<f4")  # other numbers between the vertices
+        rows[:, 1:4] = inside
+        binary = bytes(8) + rows.tobytes()
+        scene = {
+            "asset": {"version": "2.0"},
+            "nodes": [
+                {"children": [1], "translation": [1, 2, 3], "rotation": turn.as_quat().tolist(), "scale": [2, 2, 2]},
+                {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
+                {"mesh": 1},
+            ],
+            "meshes": [
+                {"primitives": [{"attributes": {"POSITION": 0}}]},
+                {"primitives": [{"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {}}}]},
+            ],
+            "accessors": [
+                {"bufferView": 0, "byteOffset": 4, "componentType": 5126, "count": len(points), "type": "VEC3"}
+            ],
+            "bufferViews": [{"buffer": 0, "byteOffset": 8, "byteStride": 20, "byteLength": rows.nbytes}],
+            "buffers": [{"byteLength": len(binary)}],
+        }
+        if path.suffix == ".glb":
+            return glb(path, scene, binary)
+        path.with_suffix(".bin").write_bytes(binary)
+        scene["buffers"][0]["uri"] = path.with_suffix(".bin").name
+        path.write_text(json.dumps(scene))
+    elif path.suffix == ".pcd":
+        rows = np.zeros(len(points) + 1, PCD_ROW)
+        for axis, values in zip("xyz", np.vstack([points, [np.nan] * 3]).T, strict=True):  # a beam that hit nothing
+            rows[axis] = values
+        path.write_bytes(pcd("binary", rows.tobytes(), len(rows)))
+    elif path.suffix == ".stl":
+        rows = np.zeros(len(points) // 3, STL_TRIANGLE)
+        rows["length"] = points[: 3 * len(rows)].reshape(-1, 9)
+        path.write_bytes(bytes(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
+    elif path.suffix == ".off":
+        path.write_text(f"OFF # by hand\n\n{len(points)} 0 0\n" + "".join(f"{x} {y} {z}\n" for x, y, z in points))
     elif path.suffix == ".splat":
         rows = np.zeros(len(points), GAUSSIAN)
         rows["length"][:, :3] = points
@@ -197,7 +247,7 @@ def written(path, points):
     return path
 
 
-@pytest.mark.parametrize("ending", ["las", "obj", "splat", "xyz"])
+@pytest.mark.parametrize("ending", ["glb", "gltf", "las", "laz", "obj", "off", "pcd", "splat", "stl", "xyz"])
 def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path, ending):
     """Of PLY alone it was said: a mesh of another model got this one's scale, and nothing told so."""
     folder, cloud = workspace
@@ -207,6 +257,42 @@ def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path
     said = apply(tmp_path / "metric/sim3.json", [own, other], tmp_path / "out")
     told = [any("does not lie on the sparse points" in note for note in notes) for notes in said.values()]
     assert told == [False, True]
+
+
+def vertices(path):
+    return np.concatenate([np.empty((0, 3)), *vertices_in(path, 100)]).tolist()
+
+
+def test_vertices_of_text_files_and_of_scenes(tmp_path):
+    rows = np.zeros(3, PCD_ROW)
+    for axis, values in zip("xyz", XYZ.T, strict=True):
+        rows[axis] = values
+    (tmp_path / "a.pcd").write_bytes(pcd("ascii", pcd_body("ascii", rows)))
+    corners = "".join(f"  vertex {x} {y} {z}\n" for x, y, z in XYZ)
+    (tmp_path / "a.stl").write_text(f"solid a\nfacet normal 0 0 1\n outer loop\n{corners} endloop\nendfacet\n")
+    data = base64.b64encode(XYZ.astype("<f4").tobytes()).decode()
+    scene = {
+        "nodes": [{"mesh": 0, "children": [1]}, {"mesh": 0, "skin": 0, "children": [0]}, {"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3}],
+        "bufferViews": [{"buffer": 0}],
+        "buffers": [{"uri": f"data:application/octet-stream;base64,{data}"}],
+        "extensions": {"CESIUM_RTC": {"center": [0, 0, 1]}},
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(scene))
+    assert vertices(tmp_path / "a.pcd") == vertices(tmp_path / "a.stl") == XYZ.tolist()
+    assert vertices(tmp_path / "a.gltf") == (XYZ + [0, 0, 1]).tolist(), "of the third node: the others have no root"
+    for change in ({"componentType": 5122}, {"sparse": {}}, {"bufferView": None}):
+        changed = {**scene, "accessors": [{**scene["accessors"][0], **change}]}
+        (tmp_path / "a.gltf").write_text(json.dumps(changed))
+        assert not vertices(tmp_path / "a.gltf")
+    for accessors in ([], [{**scene["accessors"][0], "count": 4}]):
+        (tmp_path / "a.gltf").write_text(json.dumps({**scene, "accessors": accessors}))
+        with pytest.raises(InputError, match="a vertex is missing or malformed"):
+            vertices(tmp_path / "a.gltf")
+    (tmp_path / "a.gltf").write_text(json.dumps({**scene, "buffers": [{"uri": "gone.bin"}]}))
+    with pytest.raises(InputError, match=r"its buffer gone\.bin is not beside it"):
+        vertices(tmp_path / "a.gltf")
 
 
 @pytest.mark.parametrize("what", ["points", "centres"])

@@ -48,6 +48,6 @@ def apply(
             if path.is_dir():
                 target.mkdir()
             notes = written[out / name] = list(scale_path(path, target, scale, others, metric))
-            if path.is_file() and (text := off_metric_model(path, scale, sim3.parent)):
+            if path.is_file() and (text := off_metric_model(target, sim3.parent)):
                 notes.append(text)
     return written

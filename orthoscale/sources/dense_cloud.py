@@ -223,14 +223,14 @@ def check_workspace(workspace: Path) -> list[Remark]:
     return remarks
 
 
-def off_metric_model(path: Path, scale: float, folder: Path) -> str:
-    """A sentence that says so if the vertices of the file `path`, times `scale`, do not lie where the COLMAP model in
+def off_metric_model(path: Path, folder: Path) -> str:
+    """A sentence that says so if the vertices of the file `path`, in metres, do not lie where the COLMAP model in
     `folder`, in metres, has its own; else, and where this cannot be told, empty."""
     if path.suffix.lower() not in WITH_VERTICES or not (folder / SCALED_MARK).is_file() or not sparse_in(folder):
         return ""
     try:
         model, images = _undistorted(folder)
-        blocks = (scale * block for block in vertices_in(path, MOST_DENSE_POINTS))
+        blocks = vertices_in(path, MOST_DENSE_POINTS)
         centres = np.array([image.projection_center() for image in images.values()])
         fit = cloud_fit(sparse_points(model), centres, blocks)
     except InputError:  # what is wrong with the file is said where it is written
