@@ -283,6 +283,12 @@ def test_frames_that_were_replaced_since_are_not_drawn_with_the_boxes_of_the_for
     with pytest.raises(UsageError, match="its frames have changed since: DJI_0054.jpg"):
         is_finished(tmp_path / "sparse", tmp_path / "scaled", FixRequest.of({**options, "report": "json"}))
     former = json.loads(report.read_text())
+    former["frame_bytes"]["DJI_0054.jpg"] = frame.stat().st_size  # as if they were uncompressed
+    (tmp_path / "scaled/report.json").write_text(json.dumps(former))
+    assert redraw(report, tmp_path / "alike.html") == "frames have changed since: DJI_0054.jpg"
+    del former["frame_crc32"]
+    (tmp_path / "scaled/older.json").write_text(json.dumps(former))
+    assert redraw(tmp_path / "scaled/older.json", tmp_path / "older.html") == "", "older reports know sizes only"
     del former["frame_bytes"]
     (tmp_path / "scaled/former.json").write_text(json.dumps(former))
     assert redraw(tmp_path / "scaled/former.json", tmp_path / "former.html") == "", "that nobody knows"

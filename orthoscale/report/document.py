@@ -28,7 +28,7 @@ from ..core.verdicts import FIT
 from ..errors import InputError, shown
 from ..formats.names import each_text, first_few, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
-from ..sources.fingerprint import Stamp
+from ..sources.fingerprint import glance
 from ..version import __version__
 from .anchors import entries
 from .measured import MeasuredSource
@@ -71,6 +71,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("input", "folder"): "",
     ("input", "kind"): "",
     ("frame_bytes",): {},
+    ("frame_crc32",): {},
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",
@@ -90,6 +91,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     measured, source, fleet, remarks = of.measured, of.source, of.fleet, of.remarks
     scale = measured.scale
     plan = source.from_above(measured.votes.place) * scale.value
+    frames = _frames(source)
     claim = own_claim(source, scale)
     return {
         "format": FORMAT,
@@ -129,7 +131,8 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         },
         "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
-        "frame_bytes": _frame_bytes(source),
+        "frame_bytes": {name: size for name, (size, _) in frames.items()},
+        "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
@@ -138,11 +141,11 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     }
 
 
-def _frame_bytes(source: Source) -> dict[str, int]:
-    """The size [byte] of each frame of a reconstruction, which its hash does not cover: another picture has another
-    size. Raises InputError."""
+def _frames(source: Source) -> dict[str, tuple[int, int]]:
+    """What tells each frame of a reconstruction, which its hash does not cover, from another: see `glance`. Raises
+    InputError."""
     files = () if source.posed is None else (p for p in source.pictures if isinstance(p, FilePicture))
-    return {picture.name: Stamp.of(picture.path).size for picture in files}
+    return {picture.name: glance(picture.path) for picture in files}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
@@ -285,8 +288,12 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
 def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
     """Says which frames of `source` are others than those that its `report` was made of; '' if none are. Raises
     InputError."""
-    known = report.get("frame_bytes") or {}  # not in reports of older versions
-    others = [name for name, size in _frame_bytes(source).items() if known.get(name, size) != size]
+    sizes, crcs = report.get("frame_bytes") or {}, report.get("frame_crc32") or {}  # not in reports of older versions
+    others = [
+        name
+        for name, (size, crc) in _frames(source).items()
+        if sizes.get(name, size) != size or crcs.get(name, crc) != crc
+    ]
     return f"frames have changed since: {first_few(others)}" if others else ""
 
 
