@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -351,6 +352,21 @@ def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path
         outputs.file(tmp_path / "a/report.html", ours_in_a_folder).write_text("<html></html>")
     (tmp_path / "a/other.html").write_text("new")
     assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
+
+
+def test_a_geopackage_that_is_open_elsewhere_is_not_replaced(tmp_path):
+    """Whoever opened the new one was given the former one's changes, from the log beside it."""
+    path = tmp_path / "a.gpkg"
+    for _ in range(2):
+        with Outputs(overwrite=True) as outputs:
+            geopackage(outputs.file(path))
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("PRAGMA journal_mode=WAL")
+        other.execute("CREATE TABLE notes (text)")
+        with pytest.raises(UsageError, match="a.gpkg-wal would be taken for a part of the new a.gpkg") as caught:
+            Outputs(overwrite=True).check(path)
+        assert "QGIS" in caught.value.hint
+    Outputs(overwrite=True).check(path)
 
 
 def test_kinds_do_not_replace_each_other(tmp_path):
