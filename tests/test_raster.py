@@ -880,13 +880,14 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-@pytest.mark.parametrize("driver, suffix", [("HFA", "img"), ("ENVI", "dat")])
+@pytest.mark.parametrize("driver, suffix, kind", [("HFA", "img", 0), ("ENVI", "dat", 0), ("NITF", "ntf", 1)])
 @pytest.mark.parametrize("bands", [1, 3])
-def test_a_format_that_does_not_name_colours_is_copied(tmp_path, driver, suffix, bands):
+def test_a_format_that_does_not_name_colours_is_copied(tmp_path, driver, suffix, kind, bands):
+    """All bands are undefined, or all grey, as those of `gdalbuildvrt -separate`: a TIFF has one grey one at most."""
     pixels = scene(bands)
     path = make(tmp_path / f"a.{suffix}", pixels, driver=driver)
     with rasterio.open(path) as d:
-        assert d.colorinterp[0] == ColorInterp.undefined
+        assert set(d.colorinterp) == {ColorInterp(kind)}
     with RasterSource.open(path) as source:
         source.write(tmp_path / "b.tif", 0.1)
     with rasterio.open(tmp_path / "b.tif") as d:
