@@ -334,6 +334,21 @@ def test_a_folder_whose_files_were_changed_since_is_not_replaced(tmp_path, chang
     write_folder(tmp_path / "all", overwrite=True)
 
 
+def test_a_geopackage_in_a_folder_may_be_looked_at(tmp_path):
+    """QGIS changes its bytes by opening it."""
+    with Outputs() as outputs:
+        geopackage(outputs.folder(tmp_path / "plan") / "layout.gpkg")
+    path = tmp_path / "plan/layout.gpkg"
+    written = path.read_bytes()
+    with closing(sqlite3.connect(path)) as viewer:
+        viewer.execute("PRAGMA journal_mode=WAL")
+        viewer.execute("PRAGMA journal_mode=DELETE")
+    assert path.read_bytes() != written and ours(tmp_path / "plan")
+    with closing(sqlite3.connect(path)) as editor, editor:
+        editor.execute("UPDATE gpkg_contents SET identifier = 'mine'")
+    assert not ours(tmp_path / "plan")
+
+
 def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
     write_folder(tmp_path / "a", ("x", "report.html"))
     mark = json.loads((tmp_path / "a" / FOLDER_MARK).read_text())

@@ -14,7 +14,7 @@ import os
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 
@@ -106,12 +106,19 @@ def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
 
 
 def _state(path: Path) -> str:
-    """Size [byte], time of change [ns] and CRC-32 of a file."""
+    """Size [byte], time of change [ns] and CRC-32 of a file; of a GeoPackage that of what it says, since QGIS changes
+    its bytes by opening it."""
     crc = 0
     with path.open("rb") as file:
         there = os.fstat(file.fileno())
         while block := file.read(1 << 20):
             crc = zlib.crc32(block, crc)
+    if path.suffix.lower() == ".gpkg":
+        with (
+            suppress(sqlite3.Error),
+            closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
+        ):
+            crc = zlib.crc32("\n".join(database.iterdump()).encode())
     return f"{_stamp(there)}{crc:08x}"
 
 
