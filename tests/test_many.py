@@ -342,6 +342,7 @@ def test_the_same_command_again_does_what_is_missing(batch):
         (lambda b: shutil.copy(b.parks / "pictures/b.png", b.folder / "a.png"), [], "a.png has changed since"),
         (lambda b: later(b.folder / "a.pgw"), [], "a.pgw has changed since"),
         (lambda b: later(b.boxes), [], "boxes.json has changed since"),
+        (lambda b: as_of_yesterday(b.boxes), [], "its files have changed since: ../boxes.json"),
         (lambda b: (b.out / "a.tif.html").unlink(), [], "a.tif.html is missing"),
     ],
 )
@@ -399,6 +400,12 @@ def test_how_many_work_on_it_makes_no_other_copy():
     asked = FixRequest(fleet="DE", workers=2, cache=False, scheduler="tcp://localhost:1", override=True)
     assert finished._other_options(asked, {"fleet": "DE", "workers": 1}) == []
     assert finished._other_options(asked, {"fleet": "DE", "force": True, "fast": True}) == ["--fast", "--force"]
+
+
+def as_of_yesterday(path):
+    """Another file, with its own time, as rsync brings it."""
+    path.write_text(path.read_text() + " ")
+    os.utime(path, (time.time() - 86_400,) * 2)
 
 
 def later(path):

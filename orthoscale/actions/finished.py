@@ -11,7 +11,7 @@ from typing import Any
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..option import flag, options_in
-from ..report.document import completed, read_json, replaced_frames
+from ..report.document import completed, read_json, replaced_files, replaced_frames
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import ELSEWHERE, REPLACE
@@ -68,7 +68,7 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
         return f"was made with other options ({', '.join(other)})"
     if source.content_hash() != report["input"]["sha256"]:
         return f"{source.path}{', or the dense cloud of its ground,' * (source.posed is not None)} has changed since"
-    if why := replaced_frames(report, source):
+    if why := replaced_frames(report, source) or replaced_files(report, source, request.inputs):
         return f"its {why}"
     written = _place(out).stat().st_mtime
     if (part := _later(_copied(out), written)) is not None:

@@ -79,7 +79,7 @@ def written(
             boxes.take(result.detections, source)
             if not request.force:
                 result.require_useful()
-        result = replace(result, settings=request.without(("overwrite",)).settings())
+        result = replace(result, settings=request.without(("overwrite",)).settings(), given=request.inputs)
         writer.write(begun.main, result)
         # The copy is verified: it stays even if something fails from here on.
         write_report(result, begun.parts, outputs.attempt)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from importlib import metadata
@@ -29,6 +30,7 @@ from ..errors import InputError, shown
 from ..formats.names import each_text, first_few, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
 from ..sources.fingerprint import glance
+from ..system.paths import absolute
 from ..version import __version__
 from .anchors import entries
 from .measured import MeasuredSource
@@ -72,6 +74,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("input", "kind"): "",
     ("frame_bytes",): {},
     ("frame_crc32",): {},
+    ("other_files",): {},
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",
@@ -133,6 +136,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "frame_bytes": {name: size for name, (size, _) in frames.items()},
         "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
+        "other_files": _other_files(source, of.given),
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
@@ -146,6 +150,17 @@ def _frames(source: Source) -> dict[str, tuple[int, int]]:
     InputError."""
     files = () if source.posed is None else (p for p in source.pictures if isinstance(p, FilePicture))
     return {picture.name: glance(picture.path) for picture in files}
+
+
+def _other_files(source: Source, given: Sequence[Path]) -> dict[str, list[int]]:
+    """What tells others of the same name, see `glance`, from the files besides `source` that its report is of: the
+    parts of a VRT and whatever else an orthophoto is read with, and those `given` by options. Names start from the
+    source's folder. Raises InputError."""
+    own, home = absolute(source.path), absolute(source.path).parent
+    files = [absolute(path) for path in (*(source.files if source.plan is not None else ()), *given)]
+    # GIS programs write statistics into .aux.xml.
+    others = [path for path in files if path != own and path.is_file() and not path.name.endswith(".aux.xml")]
+    return {os.path.relpath(path, home): [*glance(path)] for path in others}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
@@ -295,6 +310,14 @@ def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
         if sizes.get(name, size) != size or crcs.get(name, crc) != crc
     ]
     return f"frames have changed since: {first_few(others)}" if others else ""
+
+
+def replaced_files(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
+    """Says which other files than `source`, see `_other_files`, are not those that its `report` was made of; '' if all
+    are. Raises InputError."""
+    known = report.get("other_files") or {}  # not in reports of older versions
+    others = [name for name, now in _other_files(source, given).items() if known.get(name, now) != now]
+    return f"files have changed since: {first_few(others)}" if others else ""
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:

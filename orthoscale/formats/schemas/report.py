@@ -147,6 +147,7 @@ class Report(Explained, kw_only=True):
     pictures: dict[str, tuple[Count, Count]]
     frame_bytes: dict[str, Count] = {}
     frame_crc32: dict[str, Count] = {}
+    other_files: dict[str, tuple[Count, Count]] = {}
     pixel_aspect: Positive = 1.0
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
