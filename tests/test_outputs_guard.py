@@ -369,6 +369,27 @@ def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path
     assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
 
 
+def test_a_geopackage_that_was_edited_is_not_replaced(tmp_path):
+    """QGIS's plugin overwrites without being asked."""
+    path = tmp_path / "a.gpkg"
+    with Outputs() as outputs:
+        geopackage(outputs.file(path))
+    with closing(sqlite3.connect(path)) as viewer:
+        viewer.execute("PRAGMA journal_mode=WAL")
+        viewer.execute("PRAGMA journal_mode=DELETE")
+    with Outputs(overwrite=True) as outputs:
+        geopackage(outputs.file(path))
+    older = tmp_path / "older.gpkg"
+    geopackage(older)
+    with closing(sqlite3.connect(path)) as editor, closing(sqlite3.connect(older)) as former, editor, former:
+        editor.execute("CREATE TABLE notes (text)")
+        former.execute("UPDATE gpkg_contents SET description = ?", (signature(older),))
+    before = state(tmp_path)
+    with pytest.raises(UsageError, match="a.gpkg was changed since orthoscale wrote it, so it is not replaced"):
+        write_file(path, overwrite=True)
+    assert state(tmp_path) == before and ours(older)
+
+
 def test_a_geopackage_that_is_open_elsewhere_is_not_replaced(tmp_path):
     """Whoever opened the new one was given the former one's changes, from the log beside it."""
     path = tmp_path / "a.gpkg"
@@ -377,7 +398,7 @@ def test_a_geopackage_that_is_open_elsewhere_is_not_replaced(tmp_path):
             geopackage(outputs.file(path))
     with closing(sqlite3.connect(path)) as other:
         other.execute("PRAGMA journal_mode=WAL")
-        other.execute("CREATE TABLE notes (text)")
+        other.execute("PRAGMA user_version = 7")
         with pytest.raises(UsageError, match="a.gpkg-wal would be taken for a part of the new a.gpkg") as caught:
             Outputs(overwrite=True).check(path)
         assert "QGIS" in caught.value.hint

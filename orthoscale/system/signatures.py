@@ -11,6 +11,7 @@ import hashlib
 import json
 import mmap
 import os
+import re
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +23,7 @@ from ..version import __version__
 from .paths import homes
 
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
+CHANGED = "was changed since orthoscale wrote it"
 LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
 
 
@@ -58,9 +60,10 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
         return _why_not_our_folder(path)
     try:
         known = mine(path) if mine else _signed(path)
+        changed = known and path.suffix.lower() == ".gpkg" and _is_edited(path)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    return "" if known else "was not written by orthoscale under this name"
+    return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
 
 
 def _why_not_our_folder(folder: Path) -> str:
@@ -76,7 +79,7 @@ def _why_not_our_folder(folder: Path) -> str:
         if any(within == FOLDER_MARK or _is_as_written(path, files, within) for within, files in own) or ours(path):
             return ""
         known = any(within in files for within, files in own)
-        return f"{name}, which {'was changed since orthoscale wrote it' if known else 'orthoscale did not write'}"
+        return f"{name}, which {CHANGED if known else 'orthoscale did not write'}"
 
     found = next(filter(None, map(fault, _files_in(folder))), "")
     return f"holds {found}" if found else ""
@@ -114,12 +117,27 @@ def _state(path: Path) -> str:
         while block := file.read(1 << 20):
             crc = zlib.crc32(block, crc)
     if path.suffix.lower() == ".gpkg":
-        with (
-            suppress(sqlite3.Error),
-            closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
-        ):
-            crc = zlib.crc32("\n".join(database.iterdump()).encode())
+        with suppress(sqlite3.Error):
+            crc = zlib.crc32(_dumped(path).encode())
     return f"{_stamp(there)}{crc:08x}"
+
+
+def _dumped(path: Path) -> str:
+    """What the GeoPackage `path` says, as SQL. Raises sqlite3.Error."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+        return "\n".join(database.iterdump())
+
+
+def _is_edited(path: Path) -> bool:
+    """Whether the signed GeoPackage `path` says something else than when it was signed, as far as its signature
+    tells."""
+    text = signature(path)
+    try:
+        said = _dumped(path)
+    except sqlite3.Error:
+        return False
+    found = re.search(f"{text} ([0-9a-f]{{8}})", said)
+    return found is not None and int(found[1], 16) != zlib.crc32(said.replace(found[0], text).encode())
 
 
 def _stamp(there: os.stat_result) -> str:
@@ -195,10 +213,13 @@ def sign_file(path: Path) -> None:
 
 
 def _sign_geopackage(path: Path, text: str) -> None:
-    """Append the signature to the description of the first table, which is free text."""
-    with closing(sqlite3.connect(path)) as file, file:
-        file.execute(
-            "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
-            "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
-            (text,),
-        )
+    """Append the signature, and the CRC-32 of what the file then says, to the description of the first table, which is
+    free text."""
+    for part in (text, None):
+        part = part or f"{zlib.crc32(_dumped(path).encode()):08x}"
+        with closing(sqlite3.connect(path)) as file, file:
+            file.execute(
+                "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
+                "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
+                (part,),
+            )
