@@ -8,10 +8,12 @@ import shutil
 import struct
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 from support.geometry import PCD_ROW, XYZ, glb, pcd, pcd_body
 from support.models import make_model
+from support.other_programs import opensfm
 from test_dense_ground import write_cloud
 
 from orthoscale.actions.apply import apply
@@ -22,6 +24,7 @@ from orthoscale.formats.geometry.vertices import vertices_in
 from orthoscale.sources.cloud_fit import cloud_fit
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.dense_cloud import check_workspace
+from orthoscale.sources.opening import open_source
 from orthoscale.sources.scaling import scale_path
 
 HEIGHT = 5.0  # of the cameras, in model units
@@ -161,9 +164,12 @@ def test_a_list_of_visible_images_that_does_not_fit_its_cloud_is_said(workspace)
     assert any("fused.ply.vis names images" in remark.text for remark in check_workspace(folder / "dense"))
 
 
-def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path):
+@pytest.mark.parametrize("program", ["colmap", "opensfm"])
+def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path, program):
     folder, cloud = workspace
-    source = ColmapSource.open(folder, need_images=False)
+    if program == "opensfm":
+        folder = opensfm(pycolmap.Reconstruction(folder / "sparse"), tmp_path / "opensfm")
+    source = open_source(folder, need_images=False, ground_cloud="none")
     (tmp_path / "metric").mkdir()
     source.write(tmp_path / "metric", 2.5)
     paths = {}

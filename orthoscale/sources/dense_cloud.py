@@ -18,15 +18,13 @@ from ..formats.geometry.dense import (
     find_dense,
     read_depth_map,
     sparse_folders,
-    sparse_in,
     visibility_fault,
 )
 from ..formats.geometry.ply import points_in
-from ..formats.geometry.vertices import WITH_VERTICES, vertices_in
+from ..formats.geometry.vertices import vertices_in
 from ..formats.names import first_few
 from ..formats.reading import absent
 from ..system.paths import homes
-from .cameras import SCALED_MARK
 from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
 from .colmap_write import read_model
@@ -223,16 +221,11 @@ def check_workspace(workspace: Path) -> list[Remark]:
     return remarks
 
 
-def off_metric_model(path: Path, folder: Path) -> str:
-    """A sentence that says so if the vertices of the file `path`, in metres, do not lie where the COLMAP model in
-    `folder`, in metres, has its own; else, and where this cannot be told, empty."""
-    if path.suffix.lower() not in WITH_VERTICES or not (folder / SCALED_MARK).is_file() or not sparse_in(folder):
-        return ""
+def off_metric_model(path: Path, folder: Path, points: np.ndarray, centres: np.ndarray) -> str:
+    """A sentence that says so if the vertices of the file `path`, in metres, do not lie where the model in `folder` has
+    its `points` (M, 3) [m], seen from `centres` (C, 3) [m]; else, and where this cannot be told, empty."""
     try:
-        model, images = _undistorted(folder)
-        blocks = vertices_in(path, MOST_DENSE_POINTS)
-        centres = np.array([image.projection_center() for image in images.values()])
-        fit = cloud_fit(sparse_points(model), centres, blocks)
+        fit = cloud_fit(points, centres, vertices_in(path, MOST_DENSE_POINTS))
     except InputError:  # what is wrong with the file is said where it is written
         return ""
     doubt = "it is in metres only if it was in that model's units, turned or shifted"
