@@ -382,7 +382,7 @@ def test_a_geopackage_that_was_edited_is_not_replaced(tmp_path):
     older = tmp_path / "older.gpkg"
     geopackage(older)
     with closing(sqlite3.connect(path)) as editor, closing(sqlite3.connect(older)) as former, editor, former:
-        editor.execute("CREATE TABLE notes (text)")
+        editor.execute("UPDATE gpkg_contents SET identifier = 'mine'")
         former.execute("UPDATE gpkg_contents SET description = ?", (signature(older),))
     before = state(tmp_path)
     with pytest.raises(UsageError, match="a.gpkg was changed since orthoscale wrote it, so it is not replaced"):

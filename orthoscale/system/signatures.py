@@ -24,6 +24,7 @@ from .paths import homes
 
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
 CHANGED = "was changed since orthoscale wrote it"
+OF_ROWS = "type = 'table' AND name NOT LIKE 'rtree%' AND name NOT LIKE 'sqlite%'"  # of tables with rows of their own
 LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
 
 
@@ -118,14 +119,25 @@ def _state(path: Path) -> str:
             crc = zlib.crc32(block, crc)
     if path.suffix.lower() == ".gpkg":
         with suppress(sqlite3.Error):
-            crc = zlib.crc32(_dumped(path).encode())
+            crc = _said(path)
     return f"{_stamp(there)}{crc:08x}"
 
 
-def _dumped(path: Path) -> str:
-    """What the GeoPackage `path` says, as SQL. Raises sqlite3.Error."""
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-        return "\n".join(database.iterdump())
+def _said(path: Path, signed: str = "", plain: str = "") -> int:
+    """CRC-32 of the rows of the GeoPackage `path`, its index apart, with `plain` where they have `signed`. Raises
+    sqlite3.Error."""
+    crc = 0
+    with closing(_opened(path)) as database:
+        tables = database.execute(f"SELECT name FROM sqlite_master WHERE {OF_ROWS} ORDER BY name").fetchall()
+        for (name,) in tables:
+            for row in database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""'))):
+                crc = zlib.crc32(ascii((name, *row)).replace(signed, plain).encode(), crc)
+    return crc
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    """The GeoPackage `path`, only to read, so that no other file is made beside it."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
 
 
 def _is_edited(path: Path) -> bool:
@@ -133,11 +145,12 @@ def _is_edited(path: Path) -> bool:
     tells."""
     text = signature(path)
     try:
-        said = _dumped(path)
+        with closing(_opened(path)) as database:
+            told = "\n".join(value or "" for (value,) in database.execute("SELECT description FROM gpkg_contents"))
+        found = re.search(f"{text} ([0-9a-f]{{8}})", told)
+        return found is not None and int(found[1], 16) != _said(path, found[0], text)
     except sqlite3.Error:
         return False
-    found = re.search(f"{text} ([0-9a-f]{{8}})", said)
-    return found is not None and int(found[1], 16) != zlib.crc32(said.replace(found[0], text).encode())
 
 
 def _stamp(there: os.stat_result) -> str:
@@ -216,7 +229,7 @@ def _sign_geopackage(path: Path, text: str) -> None:
     """Append the signature, and the CRC-32 of what the file then says, to the description of the first table, which is
     free text."""
     for part in (text, None):
-        part = part or f"{zlib.crc32(_dumped(path).encode()):08x}"
+        part = part or f"{_said(path):08x}"
         with closing(sqlite3.connect(path)) as file, file:
             file.execute(
                 "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
