@@ -660,9 +660,11 @@ def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp
     assert (tmp_path / "out" / "linked.ply").is_file() and not (tmp_path / "out" / "stereo").exists()
 
 
-@pytest.mark.parametrize(("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF")])
+@pytest.mark.parametrize(
+    ("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF"), ("I", "pgm"), ("I;16", "jp2")]
+)
 def test_pictures_that_may_be_depth_maps_are_not_copied_unscaled(tmp_path, mode, ending):
-    """A depth map as TIFF or PNG was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
+    """A depth map as a picture was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
     source = dense_workspace(tmp_path / "dense")
     for name in (f"stereo/depth_maps/a.{ending}", f"images/thermal.{ending}"):
         Image.new(mode, (4, 3), 7).save(source / name)
