@@ -279,6 +279,22 @@ def test_palette(tmp_path, driver):
     assert np.allclose(source.read(0, 100, W, 100, W // 2, 50), (127.5, 0, 127.5), atol=1)
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_parts_of_a_vrt_in_a_vrt_are_watched_and_protected(tmp_path):
+    """GDAL names the inner VRT only: boxes in the cache were those of former pixels."""
+    part = make(tmp_path / "a.tif", scene(3))
+    outer = vrt(tmp_path / "outer.vrt", str(vrt(tmp_path / "inner.vrt", str(part))))
+    with RasterSource.open(outer) as source:
+        former = source.fingerprint()
+        assert source.files == [outer, tmp_path / "inner.vrt", part]
+        with rasterio.open(part, "r+") as file:
+            file.write(255 - file.read())
+        with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+            source.content_hash()
+    with RasterSource.open(outer) as source:
+        assert source.fingerprint() != former
+
+
 def test_vrt(tmp_path):
     tif = make(tmp_path / "a.tif", **UTM)
     gdal_copy(tif, tmp_path / "a.vrt", driver="VRT")
