@@ -265,6 +265,15 @@ def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path
     assert told == [False, True]
 
 
+def test_a_mesh_that_was_turned_to_have_y_up_is_of_its_model(workspace, tmp_path):
+    """As glTF wants it, and Blender exports it: it was said to be of another."""
+    folder, cloud = workspace
+    (tmp_path / "metric").mkdir()
+    ColmapSource.open(folder, need_images=False).write(tmp_path / "metric", 2.5)
+    mesh = written(tmp_path / "turned.glb", cloud[:, [0, 2, 1]] * [1, 1, -1])
+    assert apply(tmp_path / "metric/sim3.json", mesh, tmp_path / "out") == {tmp_path / "out/turned.glb": []}
+
+
 def vertices(path):
     return np.concatenate([np.empty((0, 3)), *vertices_in(path, 100)]).tolist()
 

@@ -38,6 +38,7 @@ MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any
 MAPS_COMPARED, DEPTHS_COMPARED, DEPTHS_APART = 5, 50, 1.1
 MOST_LACKING_NAMED = 3  # images without depth maps
 FUSED_CLOUD = "fused.ply"
+Y_UP = (".glb", ".gltf", ".obj")  # whose y axis is up: Blender and others turn models to it whose z axis is up
 # Where other programs write clouds in the coordinates of their reconstruction, relative to the folder of its file.
 CLOUD_PLACES = (
     "../odm_filterpoints/point_cloud.ply",  # ODM, whose reconstruction.json lies in opensfm/
@@ -226,6 +227,9 @@ def off_metric_model(path: Path, folder: Path, points: np.ndarray, centres: np.n
     its `points` (M, 3) [m], seen from `centres` (C, 3) [m]; else, and where this cannot be told, empty."""
     try:
         fit = cloud_fit(points, centres, vertices_in(path, MOST_DENSE_POINTS))
+        if fit.another and path.suffix.lower() in Y_UP:
+            upright = (block[:, [0, 2, 1]] * [1, -1, 1] for block in vertices_in(path, MOST_DENSE_POINTS))
+            fit = cloud_fit(points, centres, upright)
     except InputError:  # what is wrong with the file is said where it is written
         return ""
     doubt = "it is in metres only if it was in that model's units, turned or shifted"
