@@ -155,12 +155,12 @@ def _frames(source: Source) -> dict[str, tuple[int, int]]:
 def _other_files(source: Source, given: Sequence[Path]) -> dict[str, list[int]]:
     """What tells others of the same name, see `glance`, from the files besides `source` that its report is of: the
     parts of a VRT and whatever else an orthophoto is read with, and those `given` by options. Names start from the
-    source's folder. Raises InputError."""
+    source's folder, if that is on the same drive. Raises InputError."""
     own, home = absolute(source.path), absolute(source.path).parent
     files = [absolute(path) for path in (*(source.files if source.plan is not None else ()), *given)]
     # GIS programs write statistics into .aux.xml.
     others = [path for path in files if path != own and path.is_file() and not path.name.endswith(".aux.xml")]
-    return {os.path.relpath(path, home): [*glance(path)] for path in others}
+    return {os.path.relpath(p, home) if p.drive == home.drive else str(p): [*glance(p)] for p in others}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
