@@ -343,6 +343,7 @@ def test_the_same_command_again_does_what_is_missing(batch):
         (lambda b: later(b.folder / "a.pgw"), [], "a.pgw has changed since"),
         (lambda b: later(b.boxes), [], "boxes.json has changed since"),
         (lambda b: as_of_yesterday(b.boxes), [], "its files have changed since: ../boxes.json"),
+        (lambda b: as_of_yesterday(b.out / "a.tif"), [], "a.tif has changed since it was made"),
         (lambda b: (b.out / "a.tif.html").unlink(), [], "a.tif.html is missing"),
     ],
 )
@@ -404,7 +405,7 @@ def test_how_many_work_on_it_makes_no_other_copy():
 
 def as_of_yesterday(path):
     """Another file, with its own time, as rsync brings it."""
-    path.write_text(path.read_text() + " ")
+    path.write_bytes(path.read_bytes() + b" ")
     os.utime(path, (time.time() - 86_400,) * 2)
 
 

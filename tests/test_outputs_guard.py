@@ -20,6 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rasterio
 from support.in_process import run
 from support.pictures import squares
 
@@ -972,6 +973,18 @@ def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
     assert fixed(ortho, out, "--overwrite", "--report", "none").returncode == 0
     assert set(names(here)) == {"a.tif", "a.tfw", "out.tif", "out.tif.notes.txt", "out.json"}
     assert {name: content for name, content in state(here).items() if name in before} == before
+
+
+def test_a_copy_that_was_edited_is_not_replaced(ortho):
+    """As by gdal_edit, which gives it a place on the map: that was lost."""
+    out = ortho.parent / "out.tif"
+    assert fixed(ortho, out).returncode == 0
+    with rasterio.open(out, "r+") as file:
+        file.transform = rasterio.Affine(0.1, 0, 500_000, 0, -0.1, 5_000_000)
+    before = state(ortho.parent)
+    done = fixed(ortho, out, "--overwrite")
+    assert done.returncode == 2 and "out.tif was changed since orthoscale wrote it, so it is not" in done.stderr
+    assert state(ortho.parent) == before
 
 
 @pytest.mark.parametrize("name", ["out.png", os.fsdecode(b"\xff.tif")])

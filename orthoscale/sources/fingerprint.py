@@ -98,14 +98,16 @@ def fingerprint(paths: Iterable[Path]) -> str:
 
 
 def glance(path: Path) -> tuple[int, int]:
-    """The size of a file [byte], and the CRC-32 of a piece at its start and one in its middle: quick, and another for
-    another picture of the same size, as are uncompressed ones of one camera. Raises InputError."""
+    """The size of a file [byte], and the CRC-32 of pieces at its start, in its middle and at its end: quick, and other
+    for another picture of the same size, as uncompressed ones of one camera are. Raises InputError."""
     check_regular(path, MOVED)
     with _reading(path), path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
-        first = file.read(PIECE_BYTES)
-        file.seek(max(PIECE_BYTES, size // 2))
-        return size, zlib.crc32(file.read(PIECE_BYTES), zlib.crc32(first))
+        crc = 0
+        for place in (0, size // 2, max(0, size - PIECE_BYTES)):
+            file.seek(place)
+            crc = zlib.crc32(file.read(PIECE_BYTES), crc)
+        return size, crc
 
 
 @contextmanager
