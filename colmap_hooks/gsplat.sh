@@ -21,6 +21,12 @@ if [ -n "${GSPLAT:-}" ] && [ ! -f "$GSPLAT/examples/simple_trainer.py" ]; then
     echo "error: $GSPLAT/examples/simple_trainer.py is not there: set GSPLAT to a clone of gsplat" >&2
     exit 127
 fi
+for link in "$result/data/images" "$result/data/sparse/0"; do # in a folder the link would be made within it
+    if [ -e "$link" ] && [ ! -L "$link" ]; then
+        echo "error: $link is in the way, and would be trained on instead of the metric model: move it away" >&2
+        exit 2
+    fi
+done
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
 case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 model="$workspace/sparse_metric"

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import shutil
 import struct
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
+from support.geometry import PCD_ROW, XYZ, glb, pcd, pcd_body
 from support.models import make_model
+from support.other_programs import opensfm
 from test_dense_ground import write_cloud
 
 from orthoscale.actions.apply import apply
 from orthoscale.errors import InputError
 from orthoscale.formats.geometry.dense import visibility_fault
-from orthoscale.formats.geometry.records import GAUSSIAN
+from orthoscale.formats.geometry.records import GAUSSIAN, STL_TRIANGLE
+from orthoscale.formats.geometry.vertices import vertices_in
 from orthoscale.sources.cloud_fit import cloud_fit
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.dense_cloud import check_workspace
+from orthoscale.sources.opening import open_source
 from orthoscale.sources.scaling import scale_path
 
 HEIGHT = 5.0  # of the cameras, in model units
@@ -157,9 +164,12 @@ def test_a_list_of_visible_images_that_does_not_fit_its_cloud_is_said(workspace)
     assert any("fused.ply.vis names images" in remark.text for remark in check_workspace(folder / "dense"))
 
 
-def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path):
+@pytest.mark.parametrize("program", ["colmap", "opensfm"])
+def test_a_cloud_that_is_applied_to_lies_on_the_model_that_was_scaled(workspace, tmp_path, program):
     folder, cloud = workspace
-    source = ColmapSource.open(folder, need_images=False)
+    if program == "opensfm":
+        folder = opensfm(pycolmap.Reconstruction(folder / "sparse"), tmp_path / "opensfm")
+    source = open_source(folder, need_images=False, ground_cloud="none")
     (tmp_path / "metric").mkdir()
     source.write(tmp_path / "metric", 2.5)
     paths = {}
@@ -186,6 +196,52 @@ def written(path, points):
         rows = np.zeros(len(points), np.dtype({"names": ["xyz"], "formats": ["3<i4"], "itemsize": 30}))
         rows["xyz"] = np.round((points - points[0]) / 1e-4)
         path.write_bytes(bytes(head) + rows.tobytes() + b"more records, after the points")
+    elif path.suffix == ".laz":
+        pytest.importorskip("lazrs")
+        laspy = pytest.importorskip("laspy")
+        cloud = laspy.create(point_format=3)
+        cloud.header.scales, cloud.header.offsets = [1e-4] * 3, points[0]
+        cloud.x, cloud.y, cloud.z = points.T
+        cloud.write(path)
+    elif path.suffix in (".glb", ".gltf"):  # placed twice below a turned and shifted node: there, and far away
+        turn = Rotation.from_euler("xyz", [1, 2, 3])
+        inside = turn.inv().apply((points - [1, 2, 3]) / 2).astype("<f4")
+        rows = np.zeros((len(points), 5), "<f4")  # other numbers between the vertices
+        rows[:, 1:4] = inside
+        binary = bytes(8) + rows.tobytes()
+        scene = {
+            "asset": {"version": "2.0"},
+            "nodes": [
+                {"children": [1], "translation": [1, 2, 3], "rotation": turn.as_quat().tolist(), "scale": [2, 2, 2]},
+                {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
+                {"mesh": 1},
+            ],
+            "meshes": [
+                {"primitives": [{"attributes": {"POSITION": 0}}]},
+                {"primitives": [{"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {}}}]},
+            ],
+            "accessors": [
+                {"bufferView": 0, "byteOffset": 4, "componentType": 5126, "count": len(points), "type": "VEC3"}
+            ],
+            "bufferViews": [{"buffer": 0, "byteOffset": 8, "byteStride": 20, "byteLength": rows.nbytes}],
+            "buffers": [{"byteLength": len(binary)}],
+        }
+        if path.suffix == ".glb":
+            return glb(path, scene, binary)
+        path.with_suffix(".bin").write_bytes(binary)
+        scene["buffers"][0]["uri"] = path.with_suffix(".bin").name
+        path.write_text(json.dumps(scene))
+    elif path.suffix == ".pcd":
+        rows = np.zeros(len(points) + 1, PCD_ROW)
+        for axis, values in zip("xyz", np.vstack([points, [np.nan] * 3]).T, strict=True):  # a beam that hit nothing
+            rows[axis] = values
+        path.write_bytes(pcd("binary", rows.tobytes(), len(rows)))
+    elif path.suffix == ".stl":
+        rows = np.zeros(len(points) // 3, STL_TRIANGLE)
+        rows["length"] = points[: 3 * len(rows)].reshape(-1, 9)
+        path.write_bytes(bytes(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
+    elif path.suffix == ".off":
+        path.write_text(f"OFF # by hand\n\n{len(points)} 0 0\n" + "".join(f"{x} {y} {z}\n" for x, y, z in points))
     elif path.suffix == ".splat":
         rows = np.zeros(len(points), GAUSSIAN)
         rows["length"][:, :3] = points
@@ -197,7 +253,7 @@ def written(path, points):
     return path
 
 
-@pytest.mark.parametrize("ending", ["las", "obj", "splat", "xyz"])
+@pytest.mark.parametrize("ending", ["glb", "gltf", "las", "laz", "obj", "off", "pcd", "splat", "stl", "xyz"])
 def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path, ending):
     """Of PLY alone it was said: a mesh of another model got this one's scale, and nothing told so."""
     folder, cloud = workspace
@@ -207,6 +263,51 @@ def test_meshes_and_clouds_in_other_formats_are_compared_too(workspace, tmp_path
     said = apply(tmp_path / "metric/sim3.json", [own, other], tmp_path / "out")
     told = [any("does not lie on the sparse points" in note for note in notes) for notes in said.values()]
     assert told == [False, True]
+
+
+def test_a_mesh_that_was_turned_to_have_y_up_is_of_its_model(workspace, tmp_path):
+    """As glTF wants it, and Blender exports it: it was said to be of another."""
+    folder, cloud = workspace
+    (tmp_path / "metric").mkdir()
+    ColmapSource.open(folder, need_images=False).write(tmp_path / "metric", 2.5)
+    mesh = written(tmp_path / "turned.glb", cloud[:, [0, 2, 1]] * [1, 1, -1])
+    assert apply(tmp_path / "metric/sim3.json", mesh, tmp_path / "out") == {tmp_path / "out/turned.glb": []}
+
+
+def vertices(path):
+    return np.concatenate([np.empty((0, 3)), *vertices_in(path, 100)]).tolist()
+
+
+def test_vertices_of_text_files_and_of_scenes(tmp_path):
+    rows = np.zeros(3, PCD_ROW)
+    for axis, values in zip("xyz", XYZ.T, strict=True):
+        rows[axis] = values
+    (tmp_path / "a.pcd").write_bytes(pcd("ascii", pcd_body("ascii", rows)))
+    corners = "".join(f"  vertex {x} {y} {z}\n" for x, y, z in XYZ)
+    (tmp_path / "a.stl").write_text(f"solid a\nfacet normal 0 0 1\n outer loop\n{corners} endloop\nendfacet\n")
+    data = base64.b64encode(XYZ.astype("<f4").tobytes()).decode()
+    scene = {
+        "nodes": [{"mesh": 0, "children": [1]}, {"mesh": 0, "skin": 0, "children": [0]}, {"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3}],
+        "bufferViews": [{"buffer": 0}],
+        "buffers": [{"uri": f"data:application/octet-stream;base64,{data}"}],
+        "extensions": {"CESIUM_RTC": {"center": [0, 0, 1]}},
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(scene))
+    assert vertices(tmp_path / "a.pcd") == vertices(tmp_path / "a.stl") == XYZ.tolist()
+    assert vertices(tmp_path / "a.gltf") == (XYZ + [0, 0, 1]).tolist(), "of the third node: the others have no root"
+    for change in ({"componentType": 5122}, {"sparse": {}}, {"bufferView": None}):
+        changed = {**scene, "accessors": [{**scene["accessors"][0], **change}]}
+        (tmp_path / "a.gltf").write_text(json.dumps(changed))
+        assert not vertices(tmp_path / "a.gltf")
+    for accessors in ([], [{**scene["accessors"][0], "count": 4}]):
+        (tmp_path / "a.gltf").write_text(json.dumps({**scene, "accessors": accessors}))
+        with pytest.raises(InputError, match="a vertex is missing or malformed"):
+            vertices(tmp_path / "a.gltf")
+    (tmp_path / "a.gltf").write_text(json.dumps({**scene, "buffers": [{"uri": "gone.bin"}]}))
+    with pytest.raises(InputError, match=r"its buffer gone\.bin is not beside it"):
+        vertices(tmp_path / "a.gltf")
 
 
 @pytest.mark.parametrize("what", ["points", "centres"])

@@ -130,6 +130,14 @@ def test_too_few_tracks_say_nothing():
     assert focal_doubt(pycolmap.Reconstruction(), []).sd == 0
 
 
+@pytest.mark.parametrize("formal, said", [(0.02, "determine the focal length only to 20 %"), (0.149, "leave the")])
+def test_what_may_be_anything_has_no_percentage(monkeypatch, formal, said):
+    """It was "determined only to 149 %"."""
+    monkeypatch.setattr(focal, "focal_sd", lambda model: formal)
+    doubt = focal_doubt(pycolmap.Reconstruction(), [])
+    assert said in doubt.said and "149" not in doubt.said and doubt.sd == pytest.approx(10 * formal)
+
+
 @pytest.mark.slow
 def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
     from PIL import Image

@@ -260,6 +260,19 @@ def test_a_program_that_is_not_there_is_named(bench, hook, missing, arguments):
     assert len(done.stderr.splitlines()) == 1 and not (bench.work / "sparse_metric").exists()
 
 
+@pytest.mark.parametrize("there", ["images", "sparse/0"])
+def test_the_trainer_never_gets_a_folder_that_was_there_before(bench, there):
+    """The link to the metric model was made in it, and the former model trained on."""
+    (bench.work.parent / "out/data" / there).mkdir(parents=True)
+    done = subprocess.run(
+        [HOOKS / "gsplat.sh", bench.work, bench.work.parent / "out"],
+        env=bench.environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2 and f"data/{there} is in the way" in done.stderr and bench.log.read_text() == ""
+
+
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed (apt-get install colmap)")
 def test_colmap_itself_reads_the_metric_model(bench):
     """The real program; that it takes the similarity transform is in test_rescale."""

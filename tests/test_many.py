@@ -343,6 +343,8 @@ def test_the_same_command_again_does_what_is_missing(batch):
         (lambda b: shutil.copy(b.parks / "pictures/b.png", b.folder / "a.png"), [], "a.png has changed since"),
         (lambda b: later(b.folder / "a.pgw"), [], "a.pgw has changed since"),
         (lambda b: later(b.boxes), [], "boxes.json has changed since"),
+        (lambda b: as_of_yesterday(b.boxes), [], "its files have changed since: ../boxes.json"),
+        (lambda b: as_of_yesterday(b.out / "a.tif"), [], "a.tif has changed since it was made"),
         (lambda b: (b.out / "a.tif.html").unlink(), [], "a.tif.html is missing"),
     ],
 )
@@ -370,6 +372,12 @@ def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
     later(tmp_path / "scaled/a/sim3.json")
     done = run(*words)
     assert done.returncode == 2 and "a/sim3.json has changed since it was made" in done.stderr
+    assert "pass --overwrite" in done.stderr
+    (tmp_path / "scaled/a/sim3.json").write_text("{}")  # somebody's own work, which --overwrite does not replace
+    later(tmp_path / "scaled/a/sim3.json")
+    done = run(*words)
+    assert done.returncode == 2 and "Choose another place, or delete it yourself" in done.stderr
+    assert "--overwrite" not in done.stderr
 
 
 def test_a_copy_called_report_is_a_copy(tmp_path):
@@ -394,6 +402,12 @@ def test_how_many_work_on_it_makes_no_other_copy():
     asked = FixRequest(fleet="DE", workers=2, cache=False, scheduler="tcp://localhost:1", override=True)
     assert finished._other_options(asked, {"fleet": "DE", "workers": 1}) == []
     assert finished._other_options(asked, {"fleet": "DE", "force": True, "fast": True}) == ["--fast", "--force"]
+
+
+def as_of_yesterday(path):
+    """Another file, with its own time, as rsync brings it."""
+    path.write_bytes(path.read_bytes() + b" ")
+    os.utime(path, (time.time() - 86_400,) * 2)
 
 
 def later(path):

@@ -14,11 +14,13 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
 from support.in_process import run
 from support.pictures import squares
 
@@ -27,7 +29,7 @@ from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
-from orthoscale.system.signatures import FOLDER_MARK, ours, signature
+from orthoscale.system.signatures import FOLDER_MARK, ours, ours_in_a_folder, signature
 from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
@@ -180,10 +182,9 @@ def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path,
     with monkeypatch.context() as patch, pytest.raises(UsageError, match="already exists"):
         patch.setattr(reserved, "_locked", after_another_run)
         write(tmp_path / "a", text="mine")
-    there = state(tmp_path)
-    shutil.rmtree(tmp_path / "a") if write is write_folder else (tmp_path / "a").unlink()
-    write(tmp_path / "a", text="of the other run")
-    assert there == state(tmp_path)
+    assert names(tmp_path) == ["a"] and ours(tmp_path / "a")
+    file = tmp_path / "a/x" if write is write_folder else tmp_path / "a"
+    assert "of the other run" in file.read_text()
 
 
 @BOTH
@@ -312,6 +313,97 @@ def test_a_folder_within_a_folder_may_be_replaced_alone(tmp_path):
     assert ours(tmp_path / "all")
     (tmp_path / "all/0/precious").touch()
     assert not ours(tmp_path / "all")
+
+
+@pytest.mark.parametrize("changed", ["x", "0/x"])
+def test_a_folder_whose_files_were_changed_since_is_not_replaced(tmp_path, changed):
+    """Bundle adjustment run in place: the folder counted as orthoscale's, and the refined model was lost."""
+    with Outputs() as outputs:
+        folder = outputs.folder(tmp_path / "all")
+        (folder / "x").write_text("old")
+        write_folder(folder / "0", text="old")
+    file = tmp_path / "all" / changed
+    written = file.stat()
+    file.write_text("own")  # as many bytes
+    before = state(tmp_path)
+    said = f"all holds {changed}, which was changed since orthoscale wrote it, so it is not replaced"
+    with pytest.raises(UsageError, match=said) as caught:
+        write_folder(tmp_path / "all", overwrite=True)
+    assert caught.value.hint == "Choose another place, or delete it yourself." and state(tmp_path) == before
+    file.write_text("old")
+    assert file.stat().st_mtime_ns > written.st_mtime_ns
+    write_folder(tmp_path / "all", overwrite=True)
+
+
+def test_a_geopackage_in_a_folder_may_be_looked_at(tmp_path):
+    """QGIS changes its bytes by opening it."""
+    with Outputs() as outputs:
+        geopackage(outputs.folder(tmp_path / "plan") / "layout.gpkg")
+    path = tmp_path / "plan/layout.gpkg"
+    written = path.read_bytes()
+    with closing(sqlite3.connect(path)) as viewer:
+        viewer.execute("PRAGMA journal_mode=WAL")
+        viewer.execute("PRAGMA journal_mode=DELETE")
+    assert path.read_bytes() != written and ours(tmp_path / "plan")
+    with closing(sqlite3.connect(path)) as editor, editor:
+        editor.execute("UPDATE gpkg_contents SET identifier = 'mine'")
+    assert not ours(tmp_path / "plan")
+
+
+def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
+    write_folder(tmp_path / "a", ("x", "report.html"))
+    mark = json.loads((tmp_path / "a" / FOLDER_MARK).read_text())
+    (tmp_path / "a" / FOLDER_MARK).write_text(json.dumps({**mark, "files": sorted(mark["files"])}))
+    (tmp_path / "a/x").write_text("another")
+    assert ours(tmp_path / "a") and ours_in_a_folder(tmp_path / "a/report.html")
+    (tmp_path / "a/precious").touch()
+    assert not ours(tmp_path / "a")
+
+
+def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path):
+    write_folder(tmp_path / "a", ("report.html", "other.html"))
+    (tmp_path / "a/other.html").write_text("<!-- my notes -->")
+    assert not ours_in_a_folder(tmp_path / "a/other.html")
+    with Outputs(overwrite=True) as outputs:
+        outputs.file(tmp_path / "a/report.html", ours_in_a_folder).write_text("<html></html>")
+    (tmp_path / "a/other.html").write_text("new")
+    assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
+
+
+def test_a_geopackage_that_was_edited_is_not_replaced(tmp_path):
+    """QGIS's plugin overwrites without being asked."""
+    path = tmp_path / "a.gpkg"
+    with Outputs() as outputs:
+        geopackage(outputs.file(path))
+    with closing(sqlite3.connect(path)) as viewer:
+        viewer.execute("PRAGMA journal_mode=WAL")
+        viewer.execute("PRAGMA journal_mode=DELETE")
+    with Outputs(overwrite=True) as outputs:
+        geopackage(outputs.file(path))
+    older = tmp_path / "older.gpkg"
+    geopackage(older)
+    with closing(sqlite3.connect(path)) as editor, closing(sqlite3.connect(older)) as former, editor, former:
+        editor.execute("UPDATE gpkg_contents SET identifier = 'mine'")
+        former.execute("UPDATE gpkg_contents SET description = ?", (signature(older),))
+    before = state(tmp_path)
+    with pytest.raises(UsageError, match="a.gpkg was changed since orthoscale wrote it, so it is not replaced"):
+        write_file(path, overwrite=True)
+    assert state(tmp_path) == before and ours(older)
+
+
+def test_a_geopackage_that_is_open_elsewhere_is_not_replaced(tmp_path):
+    """Whoever opened the new one was given the former one's changes, from the log beside it."""
+    path = tmp_path / "a.gpkg"
+    for _ in range(2):
+        with Outputs(overwrite=True) as outputs:
+            geopackage(outputs.file(path))
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("PRAGMA journal_mode=WAL")
+        other.execute("PRAGMA user_version = 7")
+        with pytest.raises(UsageError, match="a.gpkg-wal would be taken for a part of the new a.gpkg") as caught:
+            Outputs(overwrite=True).check(path)
+        assert "QGIS" in caught.value.hint
+    Outputs(overwrite=True).check(path)
 
 
 def test_kinds_do_not_replace_each_other(tmp_path):
@@ -881,6 +973,18 @@ def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
     assert fixed(ortho, out, "--overwrite", "--report", "none").returncode == 0
     assert set(names(here)) == {"a.tif", "a.tfw", "out.tif", "out.tif.notes.txt", "out.json"}
     assert {name: content for name, content in state(here).items() if name in before} == before
+
+
+def test_a_copy_that_was_edited_is_not_replaced(ortho):
+    """As by gdal_edit, which gives it a place on the map: that was lost."""
+    out = ortho.parent / "out.tif"
+    assert fixed(ortho, out).returncode == 0
+    with rasterio.open(out, "r+") as file:
+        file.transform = rasterio.Affine(0.1, 0, 500_000, 0, -0.1, 5_000_000)
+    before = state(ortho.parent)
+    done = fixed(ortho, out, "--overwrite")
+    assert done.returncode == 2 and "out.tif was changed since orthoscale wrote it, so it is not" in done.stderr
+    assert state(ortho.parent) == before
 
 
 @pytest.mark.parametrize("name", ["out.png", os.fsdecode(b"\xff.tif")])

@@ -279,6 +279,22 @@ def test_palette(tmp_path, driver):
     assert np.allclose(source.read(0, 100, W, 100, W // 2, 50), (127.5, 0, 127.5), atol=1)
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_parts_of_a_vrt_in_a_vrt_are_watched_and_protected(tmp_path):
+    """GDAL names the inner VRT only: boxes in the cache were those of former pixels."""
+    part = make(tmp_path / "a.tif", scene(3))
+    outer = vrt(tmp_path / "outer.vrt", str(vrt(tmp_path / "inner.vrt", str(part))))
+    with RasterSource.open(outer) as source:
+        former = source.fingerprint()
+        assert source.files == [outer, tmp_path / "inner.vrt", part]
+        with rasterio.open(part, "r+") as file:
+            file.write(255 - file.read())
+        with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+            source.content_hash()
+    with RasterSource.open(outer) as source:
+        assert source.fingerprint() != former
+
+
 def test_vrt(tmp_path):
     tif = make(tmp_path / "a.tif", **UTM)
     gdal_copy(tif, tmp_path / "a.vrt", driver="VRT")
@@ -880,13 +896,14 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-@pytest.mark.parametrize("driver, suffix", [("HFA", "img"), ("ENVI", "dat")])
+@pytest.mark.parametrize("driver, suffix, kind", [("HFA", "img", 0), ("ENVI", "dat", 0), ("NITF", "ntf", 1)])
 @pytest.mark.parametrize("bands", [1, 3])
-def test_a_format_that_does_not_name_colours_is_copied(tmp_path, driver, suffix, bands):
+def test_a_format_that_does_not_name_colours_is_copied(tmp_path, driver, suffix, kind, bands):
+    """All bands are undefined, or all grey, as those of `gdalbuildvrt -separate`: a TIFF has one grey one at most."""
     pixels = scene(bands)
     path = make(tmp_path / f"a.{suffix}", pixels, driver=driver)
     with rasterio.open(path) as d:
-        assert d.colorinterp[0] == ColorInterp.undefined
+        assert set(d.colorinterp) == {ColorInterp(kind)}
     with RasterSource.open(path) as source:
         source.write(tmp_path / "b.tif", 0.1)
     with rasterio.open(tmp_path / "b.tif") as d:

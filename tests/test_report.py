@@ -14,7 +14,9 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
+import rasterio
 from PIL import Image, ImageDraw, ImageFont
+from rasterio.shutil import copy as gdal_copy
 from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 from test_dense_ground import write_cloud
@@ -283,9 +285,32 @@ def test_frames_that_were_replaced_since_are_not_drawn_with_the_boxes_of_the_for
     with pytest.raises(UsageError, match="its frames have changed since: DJI_0054.jpg"):
         is_finished(tmp_path / "sparse", tmp_path / "scaled", FixRequest.of({**options, "report": "json"}))
     former = json.loads(report.read_text())
+    former["frame_bytes"]["DJI_0054.jpg"] = frame.stat().st_size  # as if they were uncompressed
+    (tmp_path / "scaled/report.json").write_text(json.dumps(former))
+    assert redraw(report, tmp_path / "alike.html") == "frames have changed since: DJI_0054.jpg"
+    del former["frame_crc32"]
+    (tmp_path / "scaled/older.json").write_text(json.dumps(former))
+    assert redraw(tmp_path / "scaled/older.json", tmp_path / "older.html") == "", "older reports know sizes only"
     del former["frame_bytes"]
     (tmp_path / "scaled/former.json").write_text(json.dumps(former))
     assert redraw(tmp_path / "scaled/former.json", tmp_path / "former.html") == "", "that nobody knows"
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_the_parts_of_a_mosaic_that_were_replaced_since_are_not_drawn(tmp_path):
+    """The hash of a VRT is that of its text: boxes were drawn on other pictures, and nothing was said."""
+    car_park(tmp_path)
+    part = tmp_path / "part.tif"
+    gdal_copy(tmp_path / "park.png", part, driver="GTiff")
+    gdal_copy(part, tmp_path / "park.vrt", driver="VRT")
+    options = {"fleet": "DE", "detections": tmp_path / "detections.json"}
+    orthoscale.fix(tmp_path / "park.vrt", tmp_path / "scaled.tif", **options, report="json")
+    report = tmp_path / "scaled.tif.json"
+    (tmp_path / "park.vrt.aux.xml").write_text("<PAMDataset/>")  # as of statistics
+    assert redraw(report, tmp_path / "again.html") == ""
+    with rasterio.open(part, "r+") as file:
+        file.write(255 - file.read())
+    assert redraw(report, tmp_path / "changed.html") == "files have changed since: part.tif"
 
 
 def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):

@@ -631,6 +631,21 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_what_apply_wrote_into_a_dense_workspace_is_not_scaled_again_with_it(tmp_path):
+    """A mesh in a format without room for a mark was scaled twice, by `fix --dense`."""
+    dense = dense_workspace(tmp_path / "dense")
+    (dense / "mesh.xyz").write_text("1 2 3\n")
+    Sim3(SCALE).save(tmp_path)
+    depth = dense / "stereo/depth_maps/a.jpg.geometric.bin"
+    apply(tmp_path / "sim3.json", dense / "mesh.xyz", dense / "metric")
+    apply(tmp_path / "sim3.json", depth, dense / "depth_maps")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(dense, tmp_path / "out", SCALE)
+    assert (tmp_path / "out/mesh.xyz").exists() and not (tmp_path / "out/metric/mesh.xyz").exists()
+    assert not (tmp_path / "out/depth_maps/a.jpg.geometric.bin").exists()
+    assert any("metric/mesh.xyz (in metres already: orthoscale wrote it)" in note for note in notes)
+
+
 def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp_path):
     """A copy without its frames or depth maps, which may lie on another disk, seemed to be whole."""
     source = dense_workspace(tmp_path / "dense")
@@ -645,9 +660,11 @@ def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp
     assert (tmp_path / "out" / "linked.ply").is_file() and not (tmp_path / "out" / "stereo").exists()
 
 
-@pytest.mark.parametrize(("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF")])
+@pytest.mark.parametrize(
+    ("mode", "ending"), [("F", "tif"), ("I", "tif"), ("I;16", "png"), ("I;16", "TIFF"), ("I", "pgm"), ("I;16", "jp2")]
+)
 def test_pictures_that_may_be_depth_maps_are_not_copied_unscaled(tmp_path, mode, ending):
-    """A depth map as TIFF or PNG was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
+    """A depth map as a picture was copied as it was, into a workspace in metres. Frames may have 16 bits, too."""
     source = dense_workspace(tmp_path / "dense")
     for name in (f"stereo/depth_maps/a.{ending}", f"images/thermal.{ending}"):
         Image.new(mode, (4, 3), 7).save(source / name)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from ..errors import UsageError
 from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.mark import refuse_marked
 from ..formats.geometry.sim3 import Sim3
+from ..formats.geometry.vertices import WITH_VERTICES
 from ..sources.cameras import MODELS, metric_cameras
 from ..sources.dense_cloud import off_metric_model
-from ..sources.scaling import scale_path
+from ..sources.scaling import points_in_metres, scale_path
 from ..system.outputs import Outputs
 from ..system.paths import absolute, path_of, paths_of
 from ..system.signatures import written_in_metres
@@ -34,7 +36,7 @@ def apply(
     if twice := {name for name in names if names.count(name) > 1}:
         raise UsageError(f"two FILEs are called {min(twice)}", "Write them to different folders, one after the other.")
     written = {}
-    others = WrittenFiles()
+    others, model = WrittenFiles(), cache(lambda: points_in_metres(sim3.parent))
     with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out, metres=True)
         scale = Sim3.load(sim3).scale
@@ -48,6 +50,6 @@ def apply(
             if path.is_dir():
                 target.mkdir()
             notes = written[out / name] = list(scale_path(path, target, scale, others, metric))
-            if path.is_file() and (text := off_metric_model(path, scale, sim3.parent)):
-                notes.append(text)
+            if path.is_file() and target.suffix.lower() in WITH_VERTICES and (there := model()) is not None:
+                notes += [text] if (text := off_metric_model(target, sim3.parent, *there)) else []
     return written

@@ -11,9 +11,11 @@ from typing import Any
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..option import flag, options_in
-from ..report.document import completed, read_json, replaced_frames
+from ..report.document import completed, is_other_copy, read_json, replaced_files, replaced_frames
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
+from ..system.outputs import ELSEWHERE, REPLACE
+from ..system.signatures import CHANGED, ours, why_not_ours
 from .fix import report_paths
 from .opening import source_of
 
@@ -49,7 +51,8 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
         return None
     source = source_of(path, request, need_images=False)
     if why := _otherwise(source, out, request, report):
-        raise UsageError(f"{out} already exists, and {why}", "Choose another place, or pass --overwrite to replace it.")
+        replaceable = ours(out) and not is_other_copy(report, out)
+        raise UsageError(f"{out} already exists, and {why}", REPLACE if replaceable else ELSEWHERE)
     return report, source
 
 
@@ -66,8 +69,10 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
         return f"was made with other options ({', '.join(other)})"
     if source.content_hash() != report["input"]["sha256"]:
         return f"{source.path}{', or the dense cloud of its ground,' * (source.posed is not None)} has changed since"
-    if why := replaced_frames(report, source):
+    if why := replaced_frames(report, source) or replaced_files(report, source, request.inputs):
         return f"its {why}"
+    if is_other_copy(report, out) or CHANGED in why_not_ours(out):
+        return f"{out} has changed since it was made"
     written = _place(out).stat().st_mtime
     if (part := _later(_copied(out), written)) is not None:
         return f"{part} has changed since it was made"

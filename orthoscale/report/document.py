@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from importlib import metadata
@@ -28,7 +29,8 @@ from ..core.verdicts import FIT
 from ..errors import InputError, shown
 from ..formats.names import each_text, first_few, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
-from ..sources.fingerprint import Stamp
+from ..sources.fingerprint import glance
+from ..system.paths import absolute
 from ..version import __version__
 from .anchors import entries
 from .measured import MeasuredSource
@@ -71,6 +73,9 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("input", "folder"): "",
     ("input", "kind"): "",
     ("frame_bytes",): {},
+    ("frame_crc32",): {},
+    ("other_files",): {},
+    ("copy",): None,
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",
@@ -90,6 +95,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     measured, source, fleet, remarks = of.measured, of.source, of.fleet, of.remarks
     scale = measured.scale
     plan = source.from_above(measured.votes.place) * scale.value
+    frames = _frames(source)
     claim = own_claim(source, scale)
     return {
         "format": FORMAT,
@@ -129,7 +135,10 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         },
         "settings": dict(of.settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
-        "frame_bytes": _frame_bytes(source),
+        "frame_bytes": {name: size for name, (size, _) in frames.items()},
+        "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
+        "other_files": _other_files(source, of.given),
+        "copy": None if of.copied is None else [*of.copied],
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
@@ -138,11 +147,22 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     }
 
 
-def _frame_bytes(source: Source) -> dict[str, int]:
-    """The size [byte] of each frame of a reconstruction, which its hash does not cover: another picture has another
-    size. Raises InputError."""
+def _frames(source: Source) -> dict[str, tuple[int, int]]:
+    """What tells each frame of a reconstruction, which its hash does not cover, from another: see `glance`. Raises
+    InputError."""
     files = () if source.posed is None else (p for p in source.pictures if isinstance(p, FilePicture))
-    return {picture.name: Stamp.of(picture.path).size for picture in files}
+    return {picture.name: glance(picture.path) for picture in files}
+
+
+def _other_files(source: Source, given: Sequence[Path]) -> dict[str, list[int]]:
+    """What tells others of the same name, see `glance`, from the files besides `source` that its report is of: the
+    parts of a VRT and whatever else an orthophoto is read with, and those `given` by options. Names start from the
+    source's folder, if that is on the same drive. Raises InputError."""
+    own, home = absolute(source.path), absolute(source.path).parent
+    files = [absolute(path) for path in (*(source.files if source.plan is not None else ()), *given)]
+    # GIS programs write statistics into .aux.xml.
+    others = [path for path in files if path != own and path.is_file() and not path.name.endswith(".aux.xml")]
+    return {os.path.relpath(p, home) if p.drive == home.drive else str(p): [*glance(p)] for p in others}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
@@ -286,9 +306,26 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
 def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
     """Says which frames of `source` are others than those that its `report` was made of; '' if none are. Raises
     InputError."""
-    known = report.get("frame_bytes") or {}  # not in reports of older versions
-    others = [name for name, size in _frame_bytes(source).items() if known.get(name, size) != size]
+    sizes, crcs = report.get("frame_bytes") or {}, report.get("frame_crc32") or {}  # not in reports of older versions
+    others = [
+        name
+        for name, (size, crc) in _frames(source).items()
+        if sizes.get(name, size) != size or crcs.get(name, crc) != crc
+    ]
     return f"frames have changed since: {first_few(others)}" if others else ""
+
+
+def is_other_copy(report: Mapping[str, Any], out: Path) -> bool:
+    """Whether the orthophoto's copy at `out` is not as it was when its `report` was written. Raises InputError."""
+    return report.get("copy") is not None and out.is_file() and [*glance(out)] != report["copy"]
+
+
+def replaced_files(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
+    """Says which other files than `source`, see `_other_files`, are not those that its `report` was made of; '' if all
+    are. Raises InputError."""
+    known = report.get("other_files") or {}  # not in reports of older versions
+    others = [name for name, now in _other_files(source, given).items() if known.get(name, now) != now]
+    return f"files have changed since: {first_few(others)}" if others else ""
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:

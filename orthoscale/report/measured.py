@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from ..core.detections import Detections
@@ -20,9 +22,9 @@ from ..sources.on_map import OnMap
 class MeasuredSource:
     """All that a report says about one source.
 
-    seconds : duration. settings : the options as
-    plain values, to repeat the measurement. anchors : those that were found. on_map : where the source lies on the map
-    of --against. created : when it was measured, of which all its reports say the same.
+    seconds : duration. settings : the options as plain values, to repeat the measurement. anchors : those that were
+    found. on_map : where the source lies on the map of --against. given : the files and folders that the options name.
+    copied : the `glance` of an orthophoto's copy. created : when it was measured, which all its reports say alike.
     """
 
     source: Source
@@ -34,6 +36,8 @@ class MeasuredSource:
     settings: dict[str, Any] = field(default_factory=dict)
     anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
     on_map: OnMap = field(default_factory=OnMap, repr=False)
+    given: Sequence[Path] = ()
+    copied: tuple[int, int] | None = None
     created: datetime = field(default_factory=lambda: datetime.now(UTC), repr=False, compare=False)
 
     @property

@@ -30,7 +30,7 @@ from .colmap_dense import dense_of
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors
-from .dense_cloud import DenseCloud
+from .dense_cloud import DenseCloud, sparse_points
 from .dense_ground import dense_ground
 from .fingerprint import Stamp, content_hash, require_unchanged
 from .focal import bend_sd, focal_doubt
@@ -117,6 +117,11 @@ class ColmapSource:
     def on_cloud(self, cloud: DenseCloud) -> Self:
         """The same source, with its ground found from the dense `cloud`. Raises InputError."""
         return replace(self, cloud=cloud, _stamps=(*self._stamps, *map(Stamp.of, cloud.files)))
+
+    @property
+    def points_and_cameras(self) -> tuple[np.ndarray, np.ndarray]:
+        """(M, 3) points that several images see, and (C, 3) camera centres [model units]."""
+        return sparse_points(self._model), np.array(list(self._cameras.values()))
 
     @cached_property
     def parts(self) -> list[ColmapSource]:

@@ -18,15 +18,13 @@ from ..formats.geometry.dense import (
     find_dense,
     read_depth_map,
     sparse_folders,
-    sparse_in,
     visibility_fault,
 )
 from ..formats.geometry.ply import points_in
-from ..formats.geometry.vertices import WITH_VERTICES, vertices_in
+from ..formats.geometry.vertices import vertices_in
 from ..formats.names import first_few
 from ..formats.reading import absent
 from ..system.paths import homes
-from .cameras import SCALED_MARK
 from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
 from .colmap_write import read_model
@@ -40,6 +38,7 @@ MOST_DENSE_POINTS = 10_000_000  # that are used; more do not make the ground any
 MAPS_COMPARED, DEPTHS_COMPARED, DEPTHS_APART = 5, 50, 1.1
 MOST_LACKING_NAMED = 3  # images without depth maps
 FUSED_CLOUD = "fused.ply"
+Y_UP = (".glb", ".gltf", ".obj")  # whose y axis is up: Blender and others turn models to it whose z axis is up
 # Where other programs write clouds in the coordinates of their reconstruction, relative to the folder of its file.
 CLOUD_PLACES = (
     "../odm_filterpoints/point_cloud.ply",  # ODM, whose reconstruction.json lies in opensfm/
@@ -223,16 +222,14 @@ def check_workspace(workspace: Path) -> list[Remark]:
     return remarks
 
 
-def off_metric_model(path: Path, scale: float, folder: Path) -> str:
-    """A sentence that says so if the vertices of the file `path`, times `scale`, do not lie where the COLMAP model in
-    `folder`, in metres, has its own; else, and where this cannot be told, empty."""
-    if path.suffix.lower() not in WITH_VERTICES or not (folder / SCALED_MARK).is_file() or not sparse_in(folder):
-        return ""
+def off_metric_model(path: Path, folder: Path, points: np.ndarray, centres: np.ndarray) -> str:
+    """A sentence that says so if the vertices of the file `path`, in metres, do not lie where the model in `folder` has
+    its `points` (M, 3) [m], seen from `centres` (C, 3) [m]; else, and where this cannot be told, empty."""
     try:
-        model, images = _undistorted(folder)
-        blocks = (scale * block for block in vertices_in(path, MOST_DENSE_POINTS))
-        centres = np.array([image.projection_center() for image in images.values()])
-        fit = cloud_fit(sparse_points(model), centres, blocks)
+        fit = cloud_fit(points, centres, vertices_in(path, MOST_DENSE_POINTS))
+        if fit.another and path.suffix.lower() in Y_UP:
+            upright = (block[:, [0, 2, 1]] * [1, -1, 1] for block in vertices_in(path, MOST_DENSE_POINTS))
+            fit = cloud_fit(points, centres, upright)
     except InputError:  # what is wrong with the file is said where it is written
         return ""
     doubt = "it is in metres only if it was in that model's units, turned or shifted"

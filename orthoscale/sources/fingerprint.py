@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from ..system.paths import absolute
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger files
 TIME_STEP_NS = 2_000_000_000  # [ns] of the coarsest file system, FAT: two machines' times of a file may differ by it
+MOVED = "Was it moved meanwhile?"  # of a file that cannot be read
 
 
 class Stamp(NamedTuple):
@@ -31,7 +33,7 @@ class Stamp(NamedTuple):
     @classmethod
     def of(cls, path: Path) -> Stamp:
         """The stamp of the file as it is now. Raises InputError, also for a pipe."""
-        check_regular(path, "Was it moved meanwhile?")  # opening a pipe would wait for its other end
+        check_regular(path, MOVED)  # opening a pipe would wait for its other end
         with _reading(path), path.open("rb") as file:  # a network drive has current values only for an open file
             there = os.fstat(file.fileno())
         return cls(str(absolute(path)), there.st_ino, there.st_mtime_ns, there.st_size)
@@ -95,9 +97,22 @@ def fingerprint(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
+def glance(path: Path) -> tuple[int, int]:
+    """The size of a file [byte], and the CRC-32 of pieces at its start, in its middle and at its end: quick, and other
+    for another picture of the same size, as uncompressed ones of one camera are. Raises InputError."""
+    check_regular(path, MOVED)
+    with _reading(path), path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        crc = 0
+        for place in (0, size // 2, max(0, size - PIECE_BYTES)):
+            file.seek(place)
+            crc = zlib.crc32(file.read(PIECE_BYTES), crc)
+        return size, crc
+
+
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+        raise InputError(f"{path} cannot be read ({error.strerror})", MOVED) from error

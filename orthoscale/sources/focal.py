@@ -36,6 +36,7 @@ HELD = 1e-9  # regularisation, as a share of each diagonal element: poses are kn
 # by EXIF.
 SYSTEMATIC = 10.0
 OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the lean of vehicles is off by as much
+FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
@@ -53,10 +54,12 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     sd = SYSTEMATIC * formal
     if sd < OPEN:
         return FocalDoubt(said=_far(told, "; its observations determine it, and it is taken as it is"))
+    known = f"determine the focal length only to {100 * sd:.0f} % (1 sigma)"
+    known = known if sd < FOCAL_UNKNOWN else "leave the focal length unknown"
     what = (
-        f"the frames determine the focal length only to {100 * sd:.0f} % (1 sigma), as is usual for flat ground seen "
+        f"the frames {known}, as is usual for flat ground seen "
+        "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     )
-    what += "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     if told is None:
         return FocalDoubt(1.0, sd, what)
     log_ratio = np.log([lens.focal_px / has for _, lens, has in told])

@@ -8,7 +8,7 @@ import re
 import stat
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -83,10 +83,9 @@ def _require_files(path: Path) -> None:
         if vrt in seen:
             continue
         seen.add(vrt)
+        if not _is_vrt(vrt):
+            continue
         with vrt.open("rb") as file:
-            if b"<VRTDataset" not in file.read(4096):
-                continue
-            file.seek(0)
             text = file.read(_LONGEST_VRT).decode(errors="replace")
         for word in re.findall(r">\s*([^<>]+?)\s*<|\"([^\"]+)\"", text):
             named = html.unescape(word[0] or word[1])
@@ -100,6 +99,26 @@ def _require_files(path: Path) -> None:
                     waiting.append(vrt.parent / place)
                 elif not stat.S_ISDIR(mode):
                     raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
+
+
+def _is_vrt(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b"<VRTDataset" in file.read(4096)
+
+
+def files_of(dataset: DatasetReader) -> list[Path]:
+    """The files that `dataset` is read from, its own first; GDAL itself does not name those of a VRT in a VRT. Within
+    `guarded`."""
+    found = dict.fromkeys(map(Path, dataset.files))
+    waiting = [*found][1:] if dataset.driver == "VRT" else []
+    while waiting:
+        with suppress(*GDAL_ERRORS, InputError):  # what is missing or damaged is reported where it is needed
+            if _is_vrt(path := waiting.pop()):
+                with open_dataset(path) as part:
+                    more = [each for each in map(Path, part.files) if each not in found]
+                found |= dict.fromkeys(more)
+                waiting += more
+    return [*found]
 
 
 def projection_file(picture: Path) -> Path | None:

@@ -29,7 +29,7 @@ from ..formats.reading import absent
 from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import Stamp, another, fingerprint, require_unchanged
-from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, open_dataset, projection_file, reading, settings
+from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, files_of, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
 from .raster_copy import Original
@@ -58,6 +58,7 @@ class RasterSource:
 
     path : the file.
     unit : ``"m/px"``, of a scale of this source.
+    files : the image's file and what is read with it: world file and ``.prj``, overviews, the parts of a VRT.
     notes : what the user should know about how the image is read or was written.
     claimed : the scale that its georeferencing states; see `georeference.Claim`.
     """
@@ -71,7 +72,7 @@ class RasterSource:
         self.notes: list[Remark] = []
         self._dataset = dataset
         projection = projection_file(path) if dataset.crs is None else None
-        self._projection = [] if projection is None else [projection]
+        self.files = [*files_of(dataset), *([] if projection is None else [projection])]
         self._stamps = {path: stamp}
         for file in self.files:
             if not file.name.endswith(STATISTICS):
@@ -205,11 +206,6 @@ class RasterSource:
             raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
         self._require_unchanged()
         return digest
-
-    @property
-    def files(self) -> list[Path]:
-        """The image's file and what is read with it: world file and ``.prj``, overviews, the parts of a VRT."""
-        return [*map(Path, self._dataset.files), *self._projection]
 
     def fingerprint(self) -> str:
         """Key of cached results for this image: of the content of all its files, sampled in large ones.

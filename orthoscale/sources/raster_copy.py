@@ -318,9 +318,9 @@ def _fits(value: float, dtype: str) -> bool:
 
 
 def _colours(dataset: DatasetReader) -> list[str]:
-    """Colour interpretations of its bands; an undefined first one is grey in a TIFF."""
-    kinds = [kind.name for kind in dataset.colorinterp]
-    return ["gray" if kinds[0] == "undefined" else kinds[0], *kinds[1:]]
+    """Colour interpretations of its bands; grey ones count as undefined: in a TIFF only the first is grey, and must
+    be."""
+    return ["undefined" if kind.name == "gray" else kind.name for kind in dataset.colorinterp]
 
 
 def _negative(dataset: DatasetReader) -> bool:

@@ -9,14 +9,29 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..errors import UsageError
+from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
 from ..formats.geometry.files import WrittenFiles, scale_file
 from ..formats.reading import absent
-from .cameras import cameras_in, refuse_another
-from .colmap import scale_model, scale_workspace
+from .cameras import SCALED_MARK, cameras_in, refuse_another
+from .colmap import ColmapSource, scale_model, scale_workspace
 from .colmap_check import model_folders
 from .dense_cloud import check_workspace
+from .opening import NO_CLOUD, open_source
+
+
+def points_in_metres(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """`ColmapSource.points_and_cameras` of the model in metres, of any format, that lies in `folder`; None without one
+    that can be read."""
+    if not (folder / SCALED_MARK).is_file():
+        return None
+    try:
+        model = open_source(folder, need_images=False, ground_cloud=NO_CLOUD)
+    except InputError:
+        return None
+    if not isinstance(model, ColmapSource) or not os.path.samefile(model.folder, folder):  # it is in a folder below
+        return None
+    return model.points_and_cameras
 
 
 def scale_path(

@@ -24,6 +24,7 @@ from .untouched import existing, inside, refuse_input
 
 ELSEWHERE = "Choose another place, or delete it yourself."
 REPLACE = "Choose another place, or pass --overwrite to replace it."  # only of what orthoscale wrote
+UNFINISHED = ("-wal", "-journal")  # of a database (GeoPackage) that is open or was left by a crash: its latest changes
 DISK = (OSError, sqlite3.Error)  # errors due to a disk that is full, gone or read-only
 
 
@@ -146,6 +147,10 @@ class Outputs:
             if inside(path, other.path) or inside(other.path, path):
                 raise UsageError(f"{path} and {other.path} cannot both be outputs", "Give each a place of its own.")
         there = self._refuse_existing(path, mine)
+        for beside in (path.with_name(path.name + ending) for ending in UNFINISHED):
+            if os.path.lexists(beside):
+                why = f"{beside} would be taken for a part of the new {path.name}"
+                raise UsageError(why, "Close it in the program that has it open (QGIS); if none has, delete it.")
         parent = path.absolute().parent
         if not parent.is_dir():
             raise OutputError(

@@ -11,17 +11,20 @@ import hashlib
 import json
 import mmap
 import os
+import re
 import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 
 from ..version import __version__
 from .paths import homes
 
-FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
+FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
+CHANGED = "was changed since orthoscale wrote it"
+OF_ROWS = "type = 'table' AND name NOT LIKE 'rtree%' AND name NOT LIKE 'sqlite%'"  # of tables with rows of their own
 LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
 
 
@@ -39,7 +42,7 @@ def ours(path: Path) -> bool:
 
 def ours_in_a_folder(path: Path) -> bool:
     """Whether orthoscale wrote `path`, as a single file or as a part of the folder that it lies in."""
-    return ours(path) or (path.is_file() and path.name in (_listed(path.absolute().parent) or ()))
+    return ours(path) or _is_as_written(path, _listed(path.absolute().parent) or {}, path.name)
 
 
 def has_header(path: Path, columns: Iterable[str]) -> bool:
@@ -58,36 +61,100 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
         return _why_not_our_folder(path)
     try:
         known = mine(path) if mine else _signed(path)
+        changed = known and path.suffix.lower() == ".gpkg" and _is_edited(path)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    return "" if known else "was not written by orthoscale under this name"
+    return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
 
 
 def _why_not_our_folder(folder: Path) -> str:
-    files = _listed(folder)
-    if files is None:
+    if _listed(folder) is None:
         return "was not written by orthoscale under this name"
     listed = cache(_listed)
 
-    def in_an_output(name: str) -> bool:
-        """Whether it is of an output in `folder`, which lists it."""
+    def fault(name: str) -> str:
+        """What speaks against replacing the file, by the lists of `folder` and of the outputs in it; '' if nothing."""
         path = folder / name
-        outputs = [(home, listed(home)) for home in path.parents[: name.count("/")]]
-        return any(path.relative_to(home).as_posix() in (FOLDER_MARK, *each) for home, each in outputs if each)
+        lists = [(home, listed(home)) for home in path.parents[: name.count("/") + 1]]
+        own = [(path.relative_to(home).as_posix(), files) for home, files in lists if files is not None]
+        if any(within == FOLDER_MARK or _is_as_written(path, files, within) for within, files in own) or ours(path):
+            return ""
+        known = any(within in files for within, files in own)
+        return f"{name}, which {CHANGED if known else 'orthoscale did not write'}"
 
-    others = (name for name in _files_in(folder) if name not in files and not ours(folder / name))
-    strangers = (name for name in others if not in_an_output(name))
-    stranger = next(strangers, "")
-    return f"holds {stranger}, which orthoscale did not write" if stranger else ""
+    found = next(filter(None, map(fault, _files_in(folder))), "")
+    return f"holds {found}" if found else ""
 
 
-def _listed(folder: Path) -> set[str] | None:
-    """The files that the mark of `folder` lists; None if it has no mark for a folder of this name."""
+def _listed(folder: Path) -> dict[str, str | None] | None:
+    """The files that the mark of `folder` lists, each with its `_state` when it was written, None in folders of older
+    versions; None if it has no mark for a folder of this name."""
     try:
         mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
-        return set(mark["files"]) if mark["written_by"] == signature(folder.absolute()) else None
+        files = mark["files"] if isinstance(mark["files"], dict) else dict.fromkeys(mark["files"])
+        listed = {name: None if state is None else str(state) for name, state in files.items()}
+        return listed if mark["written_by"] == signature(folder.absolute()) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
+    """Whether `files`, of `_listed`, has the file at `path` as `name`, and it is unchanged. Its content is compared
+    only if its time of change is another, as of a copied folder."""
+    if name not in files or path.is_symlink() or not path.is_file():
+        return False
+    state = files[name]
+    if state is None or state.startswith(_stamp(now := path.stat())):
+        return True
+    return state.startswith(f"{now.st_size} ") and state.split()[-1] == _state(path).split()[-1]
+
+
+def _state(path: Path) -> str:
+    """Size [byte], time of change [ns] and CRC-32 of a file; of a GeoPackage that of what it says, since QGIS changes
+    its bytes by opening it."""
+    crc = 0
+    with path.open("rb") as file:
+        there = os.fstat(file.fileno())
+        while block := file.read(1 << 20):
+            crc = zlib.crc32(block, crc)
+    if path.suffix.lower() == ".gpkg":
+        with suppress(sqlite3.Error):
+            crc = _said(path)
+    return f"{_stamp(there)}{crc:08x}"
+
+
+def _said(path: Path, signed: str = "", plain: str = "") -> int:
+    """CRC-32 of the rows of the GeoPackage `path`, its index apart, with `plain` where they have `signed`. Raises
+    sqlite3.Error."""
+    crc = 0
+    with closing(_opened(path)) as database:
+        tables = database.execute(f"SELECT name FROM sqlite_master WHERE {OF_ROWS} ORDER BY name").fetchall()
+        for (name,) in tables:
+            for row in database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""'))):
+                crc = zlib.crc32(ascii((name, *row)).replace(signed, plain).encode(), crc)
+    return crc
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    """The GeoPackage `path`, only to read, so that no other file is made beside it."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+
+
+def _is_edited(path: Path) -> bool:
+    """Whether the signed GeoPackage `path` says something else than when it was signed, as far as its signature
+    tells."""
+    text = signature(path)
+    try:
+        with closing(_opened(path)) as database:
+            told = "\n".join(value or "" for (value,) in database.execute("SELECT description FROM gpkg_contents"))
+        found = re.search(f"{text} ([0-9a-f]{{8}})", told)
+        return found is not None and int(found[1], 16) != _said(path, found[0], text)
+    except sqlite3.Error:
+        return False
+
+
+def _stamp(there: os.stat_result) -> str:
+    return f"{there.st_size} {there.st_mtime_ns} "
 
 
 def _files_in(folder: Path) -> Iterator[str]:
@@ -118,11 +185,11 @@ def written_in_metres(path: Path) -> bool:
 
 
 def sign_folder(folder: Path, metres: bool = False) -> None:
-    """Write the mark of a folder: its signature and the list of its files. metres : whether these have been scaled to
-    metres."""
-    text = {"written_by": signature(folder), "version": __version__, "metres": metres, "files": []}
+    """Write the mark of a folder: its signature and the list of its files, each with its `_state`. metres : whether
+    these have been scaled to metres."""
     (folder / FOLDER_MARK).unlink(missing_ok=True)
-    text["files"] = sorted(_files_in(folder))
+    files = {name: _state(folder / name) for name in sorted(_files_in(folder))}
+    text = {"written_by": signature(folder), "version": __version__, "metres": metres, "files": files}
     (folder / FOLDER_MARK).write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
 
 
@@ -159,10 +226,13 @@ def sign_file(path: Path) -> None:
 
 
 def _sign_geopackage(path: Path, text: str) -> None:
-    """Append the signature to the description of the first table, which is free text."""
-    with closing(sqlite3.connect(path)) as file, file:
-        file.execute(
-            "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
-            "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
-            (text,),
-        )
+    """Append the signature, and the CRC-32 of what the file then says, to the description of the first table, which is
+    free text."""
+    for part in (text, None):
+        part = part or f"{_said(path):08x}"
+        with closing(sqlite3.connect(path)) as file, file:
+            file.execute(
+                "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
+                "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
+                (part,),
+            )

@@ -17,6 +17,9 @@ from pathlib import Path
 
 import pytest
 import rasterio
+import shapely
+
+from orthoscale.formats.vector import write_layer
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -93,10 +96,8 @@ def test_a_planner(desk):
     fix, layout = commands("howto/planner.md")
     desk(fix.replace("ortho.tif", str(TOWN)))
     with rasterio.open(place / "scaled.tif") as raster:
-        left, bottom, right, top = raster.bounds
-    ring = [(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)]
-    feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
-    (place / "lot.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        drawn = shapely.box(*raster.bounds)
+        write_layer(place / "lot.gpkg", "lot", [drawn], [{"name": "lot"}], "Polygon", raster.crs)
     desk(layout)
     text = json.loads((place / "layout/layout.json").read_text())
     assert "basketball" in json.dumps(text) and (place / "layout/layout.dxf").is_file()

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...system.paths import homes
+from ...system.signatures import written_in_metres
 from ..names import first_few
 from ..reading import HUGE, files_below, read_bytes
 from .lengthless import has_lengths
@@ -129,11 +130,14 @@ def scale_dense(
             continue
         out = target / place
         out.parent.mkdir(parents=True, exist_ok=True)
-        if "depth_maps" in place.parts and path.name.endswith(DEPTH_KINDS):
+        is_map = "depth_maps" in place.parts and path.name.endswith(DEPTH_KINDS)
+        if not is_map and not has_lengths(path, frame=place.parts[0] == FRAMES):
+            shutil.copyfile(path, out)
+        elif written_in_metres(path):
+            left.append(f"{place} (in metres already: orthoscale wrote it)")
+        elif is_map:
             scale_depth_map(path, out, scale)
             scaled += 1
-        elif not has_lengths(path, frame=place.parts[0] == FRAMES):
-            shutil.copyfile(path, out)
         elif reason := any_file(path, out):
             left.append(f"{place} ({reason})")
         else:

@@ -66,8 +66,8 @@ def scale_las(source: Path, target: Path, scale: float) -> list[str]:
 
 
 def points_in_las(path: Path) -> Iterator[np.ndarray]:
-    """Blocks (N, 3) of the points of the LAS file `path`; none of LAZ, where they are compressed. Raises ValueError,
-    struct.error for a damaged one."""
+    """Blocks (N, 3) of the points of the LAS file `path`; of LAZ only where laspy and a decompressor are installed.
+    Raises ValueError, struct.error for a damaged one."""
     with path.open("rb") as file:
         head = file.read(WHOLE_HEADER)
         (start,) = struct.unpack_from("<I", head, POINTS_AT)
@@ -75,6 +75,7 @@ def points_in_las(path: Path) -> Iterator[np.ndarray]:
         if not count and len(head) == WHOLE_HEADER:  # more than 32 bits can count
             (count,) = struct.unpack_from("<Q", head, COUNT)
         if form & COMPRESSED:
+            yield from _decompressed(path)
             return
         factor, offset = np.frombuffer(head, "<f8", 6, HEADER_LENGTHS).reshape(2, 3)
         row = np.dtype({"names": ["xyz"], "formats": ["3<i4"], "itemsize": length})
@@ -84,6 +85,21 @@ def points_in_las(path: Path) -> Iterator[np.ndarray]:
                 points = np.frombuffer(block, row)["xyz"] * factor + offset
             yield points
             count -= ROWS
+
+
+def _decompressed(path: Path) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the points of the LAZ file `path`; none without laspy. Raises ValueError for a damaged one, or
+    without a decompressor."""
+    try:
+        import laspy
+    except ImportError:
+        return
+    try:
+        with laspy.open(path) as file:
+            for points in file.chunk_iterator(ROWS):
+                yield np.column_stack([points.x, points.y, points.z])
+    except Exception as error:  # each decompressor has errors of its own
+        raise ValueError("damaged, or no decompressor") from error
 
 
 def _extra_decimals(content: bytes) -> list[str]:

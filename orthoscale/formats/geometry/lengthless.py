@@ -16,7 +16,7 @@ LENGTHLESS_MAPS = {"normal_maps", "consistency_graphs"}
 """COLMAP's folders of ``.bin`` files without lengths."""
 
 
-DEPTH_PICTURES = (".png", ".tif", ".tiff")
+DEPTH_PICTURES = (".jp2", ".pgm", ".png", ".tif", ".tiff")
 DEPTH_MODES = ("F", "I")
 """How Pillow's names of the modes of one band with more than 8 bits begin."""
 

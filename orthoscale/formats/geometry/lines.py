@@ -83,19 +83,7 @@ def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes, list[bytes], _Columns]]
 def scale_off(source: Path, target: Path, scale: float) -> None:
     """Write the OFF mesh `source` to `target` in metres. Raises InputError."""
     with source.open("rb") as file, target.open("wb") as out:
-        head = _kept(file, out)
-        form = OFF_HEAD.match(head)
-        if form is None or form[2] or form[3]:
-            raise InputError(
-                f"{source}: not an OFF text file in three dimensions", "Export it as plain OFF, or as PLY."
-            )
-        out.write(head)
-        counts = head[form.end() :].split(b"#")[0].split()
-        if not counts:
-            out.write(line := _kept(file, out))
-            counts = line.split()
-        if not counts or not counts[0].isdigit():
-            raise InputError(f"{source}: its number of vertices is missing", EXPORT_ANEW)
+        counts = _off_counts(source, file, out)
         for k in range(vertices := int(counts[0])):
             words = _kept(file, out).split()
             out.write(_scaled(f"{source}, vertex {k} of {vertices}", words, (0, 1, 2), scale))
@@ -110,6 +98,33 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
         shutil.copyfileobj(file, out, 1 << 20)
 
 
+def vertices_of_off(path: Path) -> Iterator[list[float]]:
+    """The vertices of the OFF mesh `path`. Raises InputError; ValueError for a malformed one."""
+    with path.open("rb") as file:
+        for _ in range(int(_off_counts(path, file)[0])):
+            yield [float(word) for word in _kept(file).split()[:3]]
+
+
+def _off_counts(path: Path, file: BinaryIO, out: BinaryIO | None = None) -> list[bytes]:
+    """The numbers of vertices and faces, as the head of the OFF file `path` has them; it is copied to `out`. Raises
+    InputError."""
+    head = _kept(file, out)
+    form = OFF_HEAD.match(head)
+    if form is None or form[2] or form[3]:
+        raise InputError(f"{path}: not an OFF text file in three dimensions", "Export it as plain OFF, or as PLY.")
+    if out is not None:
+        out.write(head)
+    counts = head[form.end() :].split(b"#")[0].split()
+    if not counts:
+        line = _kept(file, out)
+        if out is not None:
+            out.write(line)
+        counts = line.split()
+    if not counts or not counts[0].isdigit():
+        raise InputError(f"{path}: its number of vertices is missing", EXPORT_ANEW)
+    return counts
+
+
 def scale_ascii_stl(source: Path, target: Path, scale: float) -> None:
     """Write the STL text file `source` to `target` in metres. Raises InputError."""
     count = 0
@@ -122,6 +137,14 @@ def scale_ascii_stl(source: Path, target: Path, scale: float) -> None:
             out.write(line)
     if not count:
         raise InputError(f"{source}: no triangles in it", EXPORT_ANEW)
+
+
+def corners_of_ascii_stl(path: Path) -> Iterator[list[float]]:
+    """The corners of the triangles in the STL text file `path`. Raises ValueError for a malformed one."""
+    with path.open("rb") as file:
+        for words in map(bytes.split, file):
+            if words and words[0].lower() == b"vertex":
+                yield [float(word) for word in words[1:4]]
 
 
 def _words(line: bytes, separator: bytes | None) -> tuple[list[bytes], bytes | None]:
@@ -146,12 +169,13 @@ def _is_numbered(words: Sequence[bytes], count: int) -> bool:
     return len(words) > 3 and words[0] in (b"%d" % count, b"%d" % (count + 1)) and all(b"." in w for w in words[1:4])
 
 
-def _kept(file: BinaryIO, out: BinaryIO) -> bytes:
+def _kept(file: BinaryIO, out: BinaryIO | None = None) -> bytes:
     """The next line that is neither empty nor a comment; the lines before it are copied to `out`."""
     while line := file.readline():
         if line.strip() and not line.lstrip().startswith(b"#"):
             break
-        out.write(line)
+        if out is not None:
+            out.write(line)
     return line
 
 

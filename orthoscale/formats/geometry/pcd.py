@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,6 +25,8 @@ def scale_pcd(source: Path, target: Path, scale: float) -> list[str]:
     """Write the PCD file `source` to `target` in metres; returns notes for the user. Raises InputError, UsageError."""
     with source.open("rb") as file, target.open("wb") as out:
         lines, row, count = _header(source, file)
+        if any(line.startswith("# " + MARK) for line in lines):
+            refuse_marked(source)
         decimal = [name for name in row.names or () if row[name].base.kind == "f"]
         lengths = [name for name in row.names or () if name in LENGTHS or (name in SIZES and name in decimal)]
         if len({"x", "y", "z"} & set(lengths)) < 3 or not set(lengths) <= set(decimal):
@@ -51,15 +54,35 @@ def scale_pcd(source: Path, target: Path, scale: float) -> list[str]:
     return left_as_they_are([name for name in decimal if name not in lengths], scale)
 
 
+def points_in_pcd(path: Path) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the points of the PCD file `path`, not a compressed one, without those that the sensor did not
+    see (NaN). Raises InputError; ValueError, IndexError for a damaged one."""
+    with path.open("rb") as file:
+        lines, row, count = _header(path, file)
+        columns = [_words_of(row).index(axis) for axis in "xyz"]
+        for start in range(0, count, ROWS):
+            many = min(ROWS, count - start)
+            if lines[-1].split()[1] == "ascii":
+                words = [file.readline().split() for _ in range(many)]
+                block = np.array([[each[k] for k in columns] for each in words], float)
+            else:
+                table = np.frombuffer(file.read(many * row.itemsize), row)
+                block = np.column_stack([table[axis].astype(float).reshape(-1) for axis in "xyz"])
+            yield block[np.isfinite(block).all(1)]
+
+
+def _words_of(row: np.dtype) -> list[str]:
+    """The field of each word of a point as text."""
+    return [name for name in row.names or () for _ in range(row[name].shape[0])]
+
+
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
-    """The header's lines, the fields of a point, and the number of points. Raises InputError, UsageError."""
+    """The header's lines, the fields of a point, and the number of points. Raises InputError."""
     lines: list[str] = []
     told: dict[str, list[str]] = {}
     while "DATA" not in told:
         if (line := header_line(file)) is None:
             raise InputError(f"{path}: no header of a PCD file", EXPORT_ANEW)
-        if line.startswith("# " + MARK):
-            refuse_marked(path)
         lines.append(line)
         if words := line.split():
             told[words[0]] = words[1:]
@@ -81,7 +104,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
 def _ascii(
     path: Path, file: BinaryIO, out: BinaryIO, row: np.dtype, lengths: list[str], count: int, scale: float
 ) -> None:
-    words_of = [name for name in row.names or () for _ in range(row[name].shape[0])]
+    words_of = _words_of(row)
     columns = [words_of.index(name) for name in lengths]
     digits = 15 if any(row[name].base == "f8" for name in lengths) else 9
     for k in range(count):

@@ -23,16 +23,31 @@ STL_HEAD = 84  # [bytes] 80 of free text, then the number of triangles
 
 def scale_stl(source: Path, target: Path, scale: float) -> None:
     """Write the STL file `source`, binary or text, to `target` in metres. Raises InputError."""
-    size = source.stat().st_size
-    with source.open("rb") as file:
+    if is_binary_stl(source):
+        _scale(source, target, scale, STL_HEAD, STL_TRIANGLE)
+    else:
+        scale_ascii_stl(source, target, scale)
+
+
+def is_binary_stl(path: Path) -> bool:
+    """Whether the STL file `path` is binary, not text. Raises InputError for one that is neither."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
         head = file.read(STL_HEAD)
     count = int.from_bytes(head[80:84], "little")
     if size >= STL_HEAD and size == STL_HEAD + count * STL_TRIANGLE.itemsize:
-        _scale(source, target, scale, STL_HEAD, STL_TRIANGLE)
-    elif head.lstrip()[:5].lower() == b"solid":  # some binary files begin like this, too
-        scale_ascii_stl(source, target, scale)
-    else:
-        raise InputError(f"{source}: {size} bytes do not hold an STL file of {count} triangles", EXPORT_ANEW)
+        return True
+    if head.lstrip()[:5].lower() == b"solid":  # some binary files begin like this, too
+        return False
+    raise InputError(f"{path}: {size} bytes do not hold an STL file of {count} triangles", EXPORT_ANEW)
+
+
+def corners_of_stl(path: Path) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the corners of the triangles in the binary STL file `path`."""
+    with path.open("rb") as file:
+        file.seek(STL_HEAD)
+        while block := file.read(ROWS * STL_TRIANGLE.itemsize):
+            yield np.frombuffer(block, STL_TRIANGLE)["length"].astype(float).reshape(-1, 3)
 
 
 def scale_splat(source: Path, target: Path, scale: float) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from .values import Count, Finite
 
@@ -19,6 +19,18 @@ class GltfNode(Struct):
     """A node, by the indices of its children."""
 
     children: list[Count] = []
+
+
+class GltfPlacedNode(GltfNode):
+    """A node and its mesh, with its transform: a matrix, column by column, or its parts; the rotation is a quaternion,
+    xyzw."""
+
+    mesh: Count | None = None
+    skin: Count | None = None
+    matrix: Annotated[list[Finite], Meta(min_length=16, max_length=16)] | None = None
+    translation: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    rotation: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    scale: tuple[Finite, Finite, Finite] = (1.0, 1.0, 1.0)
 
 
 class GltfScene(Struct):
@@ -102,4 +114,47 @@ class Gltf(Struct):
     images: list[GltfPart] = []
     cameras: list[GltfCamera] = []
     materials: list[GltfMaterial] = []
+    extensions: GltfExtensions | None = None
+
+
+class GltfPrimitive(Struct):
+    """A part of a mesh: the accessors of what its vertices have."""
+
+    attributes: dict[str, Count] = {}
+    extensions: dict[str, Any] = {}
+
+
+class GltfMesh(Struct):
+    """A mesh by its parts."""
+
+    primitives: list[GltfPrimitive] = []
+
+
+class GltfAccessor(Struct):
+    """A table of numbers in a part of a buffer."""
+
+    componentType: int
+    count: Count
+    bufferView: Count | None = None
+    byteOffset: Count = 0
+    sparse: Any = None
+
+
+class GltfBufferView(Struct):
+    """A part of a buffer."""
+
+    buffer: Count
+    byteOffset: Count = 0
+    byteStride: Count | None = None
+    extensions: dict[str, Any] = {}
+
+
+class GltfGeometry(Struct):
+    """The parts of a glTF 2.0 file's JSON that say where its vertices are."""
+
+    nodes: list[GltfPlacedNode] = []
+    meshes: list[GltfMesh] = []
+    accessors: list[GltfAccessor] = []
+    bufferViews: list[GltfBufferView] = []
+    buffers: list[GltfPart] = []
     extensions: GltfExtensions | None = None

@@ -146,6 +146,9 @@ class Report(Explained, kw_only=True):
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]
     frame_bytes: dict[str, Count] = {}
+    frame_crc32: dict[str, Count] = {}
+    other_files: dict[str, tuple[Count, Count]] = {}
+    copy: tuple[Count, Count] | None = None
     pixel_aspect: Positive = 1.0
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
