@@ -10,6 +10,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.effort import Effort
 from orthoscale.detect.find import find_vehicles
+from orthoscale.detect.tie_break import CONTESTED
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.fleets import load_fleet
@@ -141,9 +142,9 @@ class Windows(Pixels):
         return np.zeros((out_height, out_width, 3), np.uint8)
 
 
-def scattered(seed, side, length, count):
+def scattered(seed, side, length, count, scatter=0.08):
     rng = np.random.default_rng(seed)
-    lengths = length * np.exp(rng.normal(0, 0.08, count))
+    lengths = length * np.exp(rng.normal(0, scatter, count))
     centre = rng.uniform(length, side - length, (count, 2))
     return Boxes(np.column_stack([centre, lengths, 0.42 * lengths, rng.uniform(0, 3, count)]), np.full(count, 0.55))
 
@@ -165,6 +166,14 @@ def test_one_thing_that_two_zooms_agree_on_is_no_size_of_vehicles(count, found):
     detector = Seen(picture, scattered(1, 1700, 60, count), np.ones(count))
     choice = search_zoom([picture], detector, detector.card)
     assert (choice.vehicle_px is not None) == found and choice.votes > 0
+
+
+@pytest.mark.parametrize("scatter, contested", [(0.08, False), (0.3, True)])
+def test_lengths_that_scatter_more_than_those_of_vehicles_are_contested(scatter, contested):
+    picture = Windows(1700)
+    detector = Seen(picture, scattered(1, 1700, 60, 60, scatter), np.ones(60))
+    choice = search_zoom([picture], detector, detector.card)
+    assert choice.vehicle_px == pytest.approx(60, rel=0.15) and (choice.rival > CONTESTED) == contested
 
 
 @pytest.mark.parametrize("other", [20, 90])

@@ -50,7 +50,8 @@ def squeeze(boxes: Boxes, aspect: float = 1.0) -> Squeeze | None:
     In pixels of log aspect s, a vehicle at an angle h from the x axis looks shorter by s / 2 cos(2 h) and wider by as
     much, in logarithms. So s is the slope of a regression. Lengths and widths are weighted by their scatter about it,
     and outlying vehicles count less (an iterated M-estimate). From the smallest rectangles around vehicles squeezed by
-    a factor of up to 1.4, 0.98 of s is found.
+    a factor of up to 1.4, 0.98 of s is found. From the measurer's boxes it is less: 0.7 on four places of 0.06 to
+    0.13 m/px, half on three of 0.2 and 0.3 m/px (squeezed by 1.25 and by 0.8; 2026-11-28).
     """
     if len(boxes) < LEAST_VEHICLES:
         return None
