@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 
 from orthoscale.core.fleet import WORLD, Fleet
 from orthoscale.core.pooling.paper import pool_iqr
-from orthoscale.core.pooling.robust import pool
+from orthoscale.core.pooling.robust import pool, proposed_class
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
@@ -243,6 +243,31 @@ def by_told(scenes: int) -> str:
     return table(["fleet", "place", "not told", "told what most are"], rows)
 
 
+def by_proposal(scenes: int) -> str:
+    """How often a class is proposed to the user: at usual places any, at lots of minis that."""
+    rows = []
+    for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
+        fleet = load_fleet(code)
+        cells = [_proposed(fleet, scenes, most) for most in (None, ("mini", 0.6))]
+        rows.append([code, *(f"{100 * np.mean(named):.0f} %" if named else "" for named in cells)])
+    return table(["fleet", "usual places: any class", "60 % minis: that class"], rows)
+
+
+def _proposed(fleet: Fleet, scenes: int, most: tuple[str, float] | None) -> list[bool]:
+    """Whether each place is proposed to be mostly of the class of `most`, or of any class without it; empty where the
+    fleet has no such class."""
+    if most is not None and most[0] not in {c.name for c in fleet.classes}:
+        return []
+    named = []
+    for k in range(scenes):
+        rng = np.random.default_rng([0, k])
+        vans = Vans.of_place(rng, fleet) if most is None else NO_VANS
+        votes = car_park(rng, fleet, VEHICLES, 0.12, MEASURED, vans, most=most, exact=False)
+        said = "".join(str(remark) for remark in proposed_class(votes, fleet, MEASURED))
+        named.append(bool(said) if most is None else f"of the class {most[0]} " in said)
+    return named
+
+
 def by_length(scenes: int) -> str:
     """Places whose vehicles are shorter or longer than their country's, with measured boxes and vehicle kinds."""
     rows = []
@@ -357,6 +382,7 @@ TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
     "kinds": ("With margins, vans and 10 % false boxes, kinds seen or not", by_kinds),
     "odd": ("Measured boxes, 12 cm/px: odd places", by_oddness),
     "told": ("Measured boxes, 12 cm/px: odd places, and the user says so", by_told),
+    "proposed": ("Measured boxes, 12 cm/px: how often a caution proposes a class", by_proposal),
     "longer": ("Measured boxes, 12 cm/px: places of shorter or longer vehicles than their country's", by_length),
     "one": ("Measured boxes, 12 cm/px: places of one model", by_model),
     "hidden": ("Measured boxes and vans, of which some vehicles are partly hidden", by_hidden),
