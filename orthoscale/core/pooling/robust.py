@@ -58,7 +58,7 @@ SHAPES_TOLD = 0.1
 # than the country's mix, and changes the scale by so much: at half of simulated lots with 60 % minis in Germany, 0 to 8
 # % of usual ones, and wrongly at 3 of 190 real scenes (benchmarks/results/pooling.md, "Odd places").
 PROPOSED, CHANGES = 2.0, 0.05
-RARE = (0.025, 0.35)  # shares in the fleet between which a class may be proposed: what is commoner dominates many places
+RARE = (0.025, 0.35)  # shares of a class that may be proposed: what is commoner dominates many places
 
 
 @dataclass(frozen=True)
