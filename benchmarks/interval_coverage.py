@@ -72,6 +72,7 @@ ODD = {  # places by what most of their vehicles are in any country: a class of 
 HIDDEN = (0.0, 0.1, 0.25)  # shares of the vehicles that stand partly under trees
 LONGER = (-0.08, -0.04, 0.0, 0.04, 0.08)  # by how much a place's vehicles are longer than its country's, in the mean
 STEEPEST = 8.0  # [1 / m] greatest steepness in `tilted`
+ODD_FLEETS = ("US", "DE", "GB", "IT", "CN", "BR", "PH")
 ODDEST = ("as places are", "60 % minis", "80 % pickups", "60 % vans")
 COUNTS = (5, 10, 20, 50, 100, 300, 1000, 3000, 10_000)
 
@@ -164,6 +165,8 @@ def tilted(fleet: Fleet, longer: float) -> Fleet:
     """The vehicles of a place where those of `fleet` are on average `longer` (a share of the mean): the shares of its
     classes change by a factor that is exponential in their lengths, which changes the mix as little as possible (by
     Kullback and Leibler's divergence). Raises ValueError if no mix of the classes has that mean."""
+    if not longer:
+        return fleet
     weight, length = np.array([(c.weight, c.mean[0]) for c in fleet.classes]).T
     mean = (1 + longer) * np.average(length, weights=weight)
 
@@ -210,7 +213,7 @@ def by_kinds(scenes: int) -> str:
     for code in ("US", "TH", "ZA", "DE", "PH"):
         fleet = load_fleet(code)
         for name, (most, vans) in ODD.items():
-            if most is None or most[0] in {c.name for c in fleet.classes}:
+            if _has(fleet, most):
                 tallies = [run(fleet, scenes, VEHICLES, MEASURED, (0.12,), vans, 0.1, most, seen) for seen in (0, 1)]
                 rows.append([code, name, *(t.cell() for t in tallies)])
     return table(["fleet", "place", "without kinds", "with kinds"], rows)
@@ -219,11 +222,11 @@ def by_kinds(scenes: int) -> str:
 def by_oddness(scenes: int) -> str:
     """Usual places and odd ones, with measured boxes and vehicle kinds."""
     rows = []
-    for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
+    for code in ODD_FLEETS:
         fleet = load_fleet(code)
         cells = [
             run(fleet, scenes, ruler=MEASURED, gsds=(0.12,), vans=vans, most=most).cell()
-            if most is None or most[0] in {c.name for c in fleet.classes} else ""
+            if _has(fleet, most) else ""
             for most, vans in (ODD[name] for name in ODDEST)
         ]  # fmt: skip
         rows.append([code, *cells])
@@ -233,9 +236,9 @@ def by_oddness(scenes: int) -> str:
 def by_told(scenes: int) -> str:
     """Odd places with measured boxes and vehicle kinds, as they are found and where the user says what most are."""
     rows = []
-    for code, (name, (most, vans)) in product(("US", "DE", "GB", "IT", "CN", "BR", "PH"), ODD.items()):
+    for code, (name, (most, vans)) in product(ODD_FLEETS, ODD.items()):
         fleet = load_fleet(code)
-        if most is None or not most[1] or most[0] not in {c.name for c in fleet.classes}:
+        if most is None or not most[1] or not _has(fleet, most):
             continue
         told = (None, load_fleet(f"{code}:{most[0]}"))
         cells = [run(fleet, scenes, ruler=MEASURED, gsds=(0.12,), vans=vans, most=most, told=t).cell() for t in told]
@@ -246,17 +249,22 @@ def by_told(scenes: int) -> str:
 def by_proposal(scenes: int) -> str:
     """How often a class is proposed to the user: at usual places any, at lots of minis that."""
     rows = []
-    for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
+    for code in ODD_FLEETS:
         fleet = load_fleet(code)
         cells = [_proposed(fleet, scenes, most) for most in (None, ("mini", 0.6))]
         rows.append([code, *(f"{100 * np.mean(named):.0f} %" if named else "" for named in cells)])
     return table(["fleet", "usual places: any class", "60 % minis: that class"], rows)
 
 
+def _has(fleet: Fleet, most: tuple[str, float] | None) -> bool:
+    """Whether `fleet` has the class of `most`; True without one."""
+    return most is None or most[0] in {c.name for c in fleet.classes}
+
+
 def _proposed(fleet: Fleet, scenes: int, most: tuple[str, float] | None) -> list[bool]:
     """Whether each place is proposed to be mostly of the class of `most`, or of any class without it; empty where the
     fleet has no such class."""
-    if most is not None and most[0] not in {c.name for c in fleet.classes}:
+    if not _has(fleet, most):
         return []
     named = []
     for k in range(scenes):
@@ -271,7 +279,7 @@ def _proposed(fleet: Fleet, scenes: int, most: tuple[str, float] | None) -> list
 def by_length(scenes: int) -> str:
     """Places whose vehicles are shorter or longer than their country's, with measured boxes and vehicle kinds."""
     rows = []
-    for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
+    for code in ODD_FLEETS:
         cells = []
         for longer in LONGER:
             try:

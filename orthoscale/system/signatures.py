@@ -228,11 +228,15 @@ def sign_file(path: Path) -> None:
 def _sign_geopackage(path: Path, text: str) -> None:
     """Append the signature, and the CRC-32 of what the file then says, to the description of the first table, which is
     free text."""
-    for part in (text, None):
-        part = part or f"{_said(path):08x}"
-        with closing(sqlite3.connect(path)) as file, file:
-            file.execute(
-                "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
-                "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
-                (part,),
-            )
+    _describe(path, text)
+    _describe(path, f"{_said(path):08x}")
+
+
+def _describe(path: Path, more: str) -> None:
+    """Append a word to the description of the first table of a GeoPackage."""
+    with closing(sqlite3.connect(path)) as file, file:
+        file.execute(
+            "UPDATE gpkg_contents SET description = trim(coalesce(description, '') || ' ' || ?) "
+            "WHERE rowid = (SELECT min(rowid) FROM gpkg_contents)",
+            (more,),
+        )
