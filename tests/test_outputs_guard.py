@@ -29,7 +29,7 @@ from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
-from orthoscale.system.signatures import FOLDER_MARK, ours, ours_in_a_folder, signature
+from orthoscale.system.signatures import FOLDER_MARK, ours, ours_in_a_folder, signature, was_changed
 from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
@@ -333,6 +333,16 @@ def test_a_folder_whose_files_were_changed_since_is_not_replaced(tmp_path, chang
     file.write_text("old")
     assert file.stat().st_mtime_ns > written.st_mtime_ns
     write_folder(tmp_path / "all", overwrite=True)
+
+
+def test_a_changed_file_is_noticed_behind_one_of_somebody_else(tmp_path):
+    """The first file that was not orthoscale's own hid it, and the copy counted as finished."""
+    with Outputs() as outputs:
+        write_folder(outputs.folder(tmp_path / "all") / "0", text="old")
+    (tmp_path / "all/which was changed since orthoscale wrote it").touch()
+    assert not was_changed(tmp_path / "all") and not was_changed(tmp_path / "all/0/x")
+    (tmp_path / "all/0/x").write_text("own")
+    assert was_changed(tmp_path / "all")
 
 
 def test_a_geopackage_in_a_folder_may_be_looked_at(tmp_path):

@@ -11,11 +11,11 @@ from typing import Any
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..option import flag, options_in
-from ..report.document import completed, is_other_copy, read_json, replaced_files, replaced_frames
+from ..report.document import completed, is_other_copy, read_json, replaced_inputs
 from ..report.extras import chosen
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import ELSEWHERE, REPLACE
-from ..system.signatures import CHANGED, ours, why_not_ours
+from ..system.signatures import ours, was_changed
 from .fix import report_paths
 from .opening import source_of
 
@@ -69,9 +69,9 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
         return f"was made with other options ({', '.join(other)})"
     if source.content_hash() != report["input"]["sha256"]:
         return f"{source.path}{', or the dense cloud of its ground,' * (source.posed is not None)} has changed since"
-    if why := replaced_frames(report, source) or replaced_files(report, source, request.inputs):
+    if why := replaced_inputs(report, source, request.inputs):
         return f"its {why}"
-    if is_other_copy(report, out) or CHANGED in why_not_ours(out):
+    if is_other_copy(report, out) or was_changed(out):
         return f"{out} has changed since it was made"
     written = _place(out).stat().st_mtime
     if (part := _later(_copied(out), written)) is not None:

@@ -303,29 +303,25 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
     }
 
 
-def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
-    """Says which frames of `source` are others than those that its `report` was made of; '' if none are. Raises
-    InputError."""
+def replaced_inputs(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
+    """Says which frames of `source`, or else which other files, see `_other_files`, are not those that its `report` was
+    made of; '' if all are. Raises InputError."""
     sizes, crcs = report.get("frame_bytes") or {}, report.get("frame_crc32") or {}  # not in reports of older versions
-    others = [
+    frames = [
         name
         for name, (size, crc) in _frames(source).items()
         if sizes.get(name, size) != size or crcs.get(name, crc) != crc
     ]
-    return f"frames have changed since: {first_few(others)}" if others else ""
+    if frames:
+        return f"frames have changed since: {first_few(frames)}"
+    known = report.get("other_files") or {}  # not in reports of older versions
+    files = [name for name, now in _other_files(source, given).items() if known.get(name, now) != now]
+    return f"files have changed since: {first_few(files)}" if files else ""
 
 
 def is_other_copy(report: Mapping[str, Any], out: Path) -> bool:
     """Whether the orthophoto's copy at `out` is not as it was when its `report` was written. Raises InputError."""
     return report.get("copy") is not None and out.is_file() and [*glance(out)] != report["copy"]
-
-
-def replaced_files(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
-    """Says which other files than `source`, see `_other_files`, are not those that its `report` was made of; '' if all
-    are. Raises InputError."""
-    known = report.get("other_files") or {}  # not in reports of older versions
-    others = [name for name, now in _other_files(source, given).items() if known.get(name, now) != now]
-    return f"files have changed since: {first_few(others)}" if others else ""
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:

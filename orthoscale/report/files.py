@@ -14,7 +14,7 @@ from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs
 from ..system.signatures import ours_in_a_folder
-from .document import of_plan, read_json, replaced_files, replaced_frames, write_json
+from .document import of_plan, read_json, replaced_inputs, write_json
 from .page import page
 from .pictures import draw
 from .result import Result
@@ -98,7 +98,7 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
         for each in clouds:
             source = open_source(found, images, need_images=False, ground_cloud=each)
             if source.content_hash() == report["input"]["sha256"]:
-                why = replaced_frames(report, source) or replaced_files(report, source)
+                why = replaced_inputs(report, source)
                 return (None, why) if why else (source, "")
     except OrthoscaleError as error:
         return None, error.message

@@ -67,23 +67,30 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
     return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
 
 
+def was_changed(folder: Path) -> bool:
+    """Whether a file that orthoscale wrote into `folder` was changed since."""
+    return any(written for _, written in _not_ours(folder))
+
+
 def _why_not_our_folder(folder: Path) -> str:
     if _listed(folder) is None:
         return "was not written by orthoscale under this name"
-    listed = cache(_listed)
+    for name, written in _not_ours(folder):
+        return f"holds {name}, which {CHANGED if written else 'orthoscale did not write'}"
+    return ""
 
-    def fault(name: str) -> str:
-        """What speaks against replacing the file, by the lists of `folder` and of the outputs in it; '' if nothing."""
+
+def _not_ours(folder: Path) -> Iterator[tuple[str, bool]]:
+    """The files in `folder` that are not as orthoscale wrote them, by the lists of the folder and of the outputs in it:
+    the name of each, and whether orthoscale wrote it and it was changed since."""
+    listed = cache(_listed)
+    for name in _files_in(folder):
         path = folder / name
         lists = [(home, listed(home)) for home in path.parents[: name.count("/") + 1]]
         own = [(path.relative_to(home).as_posix(), files) for home, files in lists if files is not None]
         if any(within == FOLDER_MARK or _is_as_written(path, files, within) for within, files in own) or ours(path):
-            return ""
-        known = any(within in files for within, files in own)
-        return f"{name}, which {CHANGED if known else 'orthoscale did not write'}"
-
-    found = next(filter(None, map(fault, _files_in(folder))), "")
-    return f"holds {found}" if found else ""
+            continue
+        yield name, any(within in files for within, files in own)
 
 
 def _listed(folder: Path) -> dict[str, str | None] | None:
