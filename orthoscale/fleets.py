@@ -45,9 +45,9 @@ def load_fleet(name: str | Path) -> Fleet:
         share = np.array(REASONS) @ (reasons / reasons.sum(1, keepdims=True))
         prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
         return replace(average, candidates=(average, *(_row(code) for code in vehicles)), prior=prior)
-    known = {code.lower(): code for code in fleet_codes()}
+    known = {code.lower(): code for code in (*fleet_codes(), *_document()["parts"])}
     if str(name).lower() in known:
-        return _row(known[str(name).lower()])
+        return _own(known[str(name).lower()])
     path = path_of(name, "a country, or the path of a fleet.json")
     if path.suffix.lower() == ".json":
         return read_fleet(path)
@@ -91,12 +91,10 @@ def _of_country(text: str) -> Fleet:
     code = country_code(text)
     if code is None:
         raise _unknown(text)
-    if code in fleet_codes():
-        return _row(code)
-    if code in _document()["parts"]:
-        return _part(code)
     if not _has_fleet(code):
         raise _unknown(text)
+    if code not in _document()["fallback"]:
+        return _own(code)
     stand_in = _document()["fallback"][code]
     fleet = _row(stand_in)
     # A neighbour's fleet is another country's, so it is less certain. A region's figures already include the spread
@@ -126,6 +124,11 @@ def _unknown(text: str) -> UsageError:
         f"no fleet is called {text!r}",
         f"{hint}Give a country's name or ISO 3166 code, world, or a .json file; `orthoscale fleets` lists them.",
     )
+
+
+def _own(code: str) -> Fleet:
+    """The fleet with that code, of a country, a region or a part of a country."""
+    return _part(code) if code in _document()["parts"] else _row(code)
 
 
 @cache

@@ -104,6 +104,13 @@ def test_a_country_resolves_by_any_of_its_names(text, code):
     assert load_fleet(text).code == code
 
 
+def test_the_code_that_a_report_says_names_the_fleet():
+    """That of a part in mixed case, such as JP_Tokyo, was refused."""
+    document = json.loads((Path(orthoscale.__file__).parent / "data" / "fleets.json").read_text())
+    codes = [code for table in ("fleets", "parts", "fallback") for code in document[table] if code != "WORLD"]
+    assert len(codes) > 200 and all(load_fleet(name).code == code for code in codes for name in (code, code.lower()))
+
+
 def test_every_inhabited_country_has_a_fleet():
     from babel import Locale
 
