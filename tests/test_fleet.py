@@ -16,6 +16,8 @@ from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import fleet_codes, load_fleet
 
+RULER = Ruler(noise=(1.0, 0.6))
+
 
 @pytest.mark.parametrize("code", fleet_codes())
 def test_every_fleet_is_plausible_and_says_where_it_comes_from(code):
@@ -295,24 +297,32 @@ def test_a_class_that_a_fleet_does_not_have_is_refused_with_those_that_it_has(te
 
 def test_a_lot_of_minis_is_measured_right_where_the_user_says_so():
     """By the country's fleet it comes out a tenth too large, for minis have the proportions of small cars."""
-    ruler, errors = Ruler(noise=(1.0, 0.6)), {"DE": [], "DE:mini": []}
+    errors = {"DE": [], "DE:mini": []}
     for seed in range(4):
-        lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, ruler, most=("mini", 0.7))
+        lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, RULER, most=("mini", 0.7))
         for name, found in errors.items():
-            found.append(np.log(pool(lot, load_fleet(name), ruler, "m/px").value / 0.12))
+            found.append(np.log(pool(lot, load_fleet(name), RULER, "m/px").value / 0.12))
     assert abs(np.mean(errors["DE:mini"])) < 0.03 < 0.06 < np.mean(errors["DE"])
 
 
 def test_that_most_are_minis_is_proposed_to_the_user_where_it_may_be():
-    ruler, said = Ruler(noise=(1.0, 0.6)), {None: [], ("mini", 0.7): []}
+    said = {None: [], ("mini", 0.7): []}
     for most, lots in said.items():
         for seed in range(5):
-            lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, ruler, most=most)
-            lots += [remark.text for remark in proposed_class(lot, load_fleet("DE"), ruler)]
+            lot = car_park(np.random.default_rng(seed), load_fleet("DE"), 60, 0.12, RULER, most=most)
+            lots += [remark.text for remark in proposed_class(lot, load_fleet("DE"), RULER)]
             for named in ("DE:mini", "world", "US_pickup"):
-                assert not [r for r in proposed_class(lot, load_fleet(named), ruler) if "class mini" in r.text]
+                assert not [r for r in proposed_class(lot, load_fleet(named), RULER) if "class mini" in r.text]
     assert not said[None] and len(said["mini", 0.7]) > 2
-    assert all("of the class mini" in text and "--fleet 'DE:mini'" in text for text in said["mini", 0.7])
+    assert all("of the class mini" in text and text.endswith("--fleet DE:mini") for text in said["mini", 0.7])
+
+
+def test_the_proposed_class_is_named_as_the_user_named_the_fleet():
+    """It was named after the stem of the fleet's file, which names no fleet."""
+    ours = replace(load_fleet("DE"), code="our fleet")
+    lot = car_park(np.random.default_rng(2), ours, 60, 0.12, RULER, most=("mini", 0.7))
+    (remark,) = proposed_class(lot, ours, RULER, named="a/our fleet.json")
+    assert remark.text.endswith("--fleet 'a/our fleet.json:mini'")
 
 
 def test_three_wheelers_stand_among_the_cars_of_the_countries_that_have_them():

@@ -148,15 +148,15 @@ def test_four_vehicles_are_too_few(town, tmp_path):
 def test_the_scale_says_of_which_class_most_vehicles_may_be(town, tmp_path, monkeypatch):
     given = []
 
-    def proposed(votes, fleet, ruler, geometry):
-        given.append((len(votes), fleet.code))
+    def proposed(votes, fleet, ruler, geometry, named):
+        given.append((len(votes), fleet.code, named))
         yield Remark(CAUTION, "most may be minis")
 
     monkeypatch.setattr("orthoscale.actions.estimate.proposed_class", proposed)
-    robust = orthoscale.estimate(town, fleet="DE", anchors=["none"])
+    robust = orthoscale.estimate(town, fleet="Germany", anchors=["none"])
     orthoscale.save_detections(robust.detections, tmp_path / "boxes.json")
     paper = orthoscale.estimate(town, fleet="DE", detections=tmp_path / "boxes.json", estimator="iqr")
-    assert given == [(len(robust.votes), "DE")] and "most may be minis" in map(str, robust.scale.remarks)
+    assert given == [(len(robust.votes), "DE", "Germany")] and "most may be minis" in map(str, robust.scale.remarks)
     assert "most may be minis" not in map(str, paper.scale.remarks)
 
 

@@ -150,7 +150,8 @@ def measured(
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
-    scale = measurement.scale.remarked(*_of_a_class(measurement, fleet, answer.method))
+    named = str(request.fleet or fleet.code)
+    scale = measurement.scale.remarked(*_of_a_class(measurement, fleet, answer.method, named))
     measurement = replace(measurement, scale=scale)
     log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
     found = replace(answer.found, notes=(*asked.why, *answer.found.notes, *anchors.notes, *match.notes))
@@ -159,11 +160,12 @@ def measured(
     return Result(source, fleet, found, seconds, measurement, answer.method, request.settings(), anchors, match)
 
 
-def _of_a_class(measurement: Measurement, fleet: Fleet, method: Method) -> Iterator[Remark]:
-    """The remark that most vehicles may be of one class, where the scale is by vehicles."""
+def _of_a_class(measurement: Measurement, fleet: Fleet, method: Method, named: str) -> Iterator[Remark]:
+    """The remark that most vehicles may be of one class, where the scale is by vehicles. named : what the user calls
+    the fleet."""
     if measurement.scale.vehicles_used and not method.vehicles_only:
         pooled = measurement.pooled
-        yield from proposed_class(measurement.votes, fleet, pooled.ruler, pooled.systematic.covariance)
+        yield from proposed_class(measurement.votes, fleet, pooled.ruler, pooled.systematic.covariance, named)
 
 
 def _answer(

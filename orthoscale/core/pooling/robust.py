@@ -14,6 +14,7 @@ what follows if all vehicles are of a single model.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -136,11 +137,14 @@ def pool(
     )
 
 
-def proposed_class(votes: Votes, fleet: Fleet, ruler: Ruler, geometry: np.ndarray | None = None) -> Iterator[Remark]:
+def proposed_class(
+    votes: Votes, fleet: Fleet, ruler: Ruler, geometry: np.ndarray | None = None, named: str = ""
+) -> Iterator[Remark]:
     """The remark that most vehicles may be of one class that is rare in `fleet`, where their sizes suit that better.
 
     Only the user can say so: by sizes alone such a place hardly differs from one of other classes at another scale, and
-    it is rare. Arguments as of `pool`, and the same error.
+    it is rare. named : what the user calls the fleet, if not by its code. Other arguments as of `pool`, and the same
+    error.
     """
     if fleet.candidates or any(c.weight >= MOSTLY for c in fleet.classes):
         return
@@ -159,7 +163,7 @@ def proposed_class(votes: Votes, fleet: Fleet, ruler: Ruler, geometry: np.ndarra
             CAUTION,
             f"the sizes suit a place where most vehicles are of the class {likeliest} better than the mix of fleet "
             f"{fleet.code}, and that would change the scale by {signed(np.expm1(change))}: if the picture shows that "
-            f"they are, name it with --fleet '{fleet.code}:{likeliest}'",
+            f"they are, name it with --fleet {shlex.quote(f'{named or fleet.code}:{likeliest}')}",
         )
 
 
