@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from orthoscale.core.anchors import Anchor
-from orthoscale.core.evidence import combined
 from orthoscale.core.measuring.anchors import votes_in_plan
 from orthoscale.core.pooling.anchors import evidence_of
+from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")

@@ -135,25 +135,25 @@ MUTANTS = (
         "tests/test_every_option.py::test_what_would_do_nothing_is_refused",
     ),
     Mutant(
-        "core/evidence.py",
+        "core/pooling/combining.py",
         "found.blurred(-(e.common**2)), e.own)",
         "found, e.own)",
         f"{EVIDENCE}test_an_error_that_vehicles_share_hides_no_contradiction_with_them",
     ),
     Mutant(
-        "core/evidence.py",
+        "core/pooling/combining.py",
         "float(np.hypot(out.get(e.kind, 0.0), spread * w))",
         "float(spread * w)",
         f"{EVIDENCE}test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty",
     ),
     Mutant(
-        "core/evidence.py",
+        "core/pooling/combining.py",
         "for e in sorted(heard, key=lambda e: -e.common):",
         "for e in heard:",
         f"{EVIDENCE}test_in_which_order_evidence_comes_does_not_matter",
     ),
     Mutant(
-        "core/evidence.py",
+        "core/pooling/combining.py",
         "if other.kind != e.kind and other.doubt <= STRONG:",
         "if other.doubt <= STRONG:",
         f"{EVIDENCE}test_evidence_does_not_support_a_scale_of_its_own_that_nothing_else_does",
@@ -232,7 +232,7 @@ MUTANTS = (
         f"{EVIDENCE}test_a_doubtful_measurement_counts_as_bayes_has_it",
     ),
     Mutant(
-        "core/evidence.py",
+        "core/pooling/combining.py",
         "counts |= (apart < SUPPORTS).any(1)",
         "counts |= (apart < CONFLICT_LIMIT).any(1)",
         f"{EVIDENCE}test_what_the_vehicles_exclude_counts_where_something_lies_within_two_sigmas_of_it",

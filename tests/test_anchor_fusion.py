@@ -8,8 +8,9 @@ from support.anchors import vote
 from support.simulate import car_park
 
 from orthoscale.core.anchors import Standard
-from orthoscale.core.evidence import Evidence, combined
+from orthoscale.core.evidence import Evidence
 from orthoscale.core.pooling.anchors import NO_RULE, SHARED, country_agreement, evidence_of, tells_country
+from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import INFO, REFUSAL

@@ -8,11 +8,12 @@ import pytest
 from scipy.stats import t
 
 from orthoscale.core.control import ground_control, known_distance
-from orthoscale.core.evidence import BY_GPS, Evidence, combined
+from orthoscale.core.evidence import BY_GPS, Evidence
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
 from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.anchors import evidence_of
+from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.formats.tables import known_objects

@@ -17,9 +17,10 @@ from support.photos import write_photo
 import orthoscale
 from orthoscale.core.claims import metric_claim, perhaps_metric
 from orthoscale.core.control import LEVEL_SD
-from orthoscale.core.evidence import Evidence, combined
+from orthoscale.core.evidence import Evidence
 from orthoscale.core.gps import FEWEST_POSITIONS, bend, by_positions
 from orthoscale.core.normal import Z90
+from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.evidence import BY_MAP, CONFLICT_LIMIT, Evidence, combined
+from ..core.evidence import BY_MAP, CONFLICT_LIMIT, Evidence
+from ..core.pooling.combining import combined
 from ..core.pooling.posterior import Posterior
 from ..photos.measure import Interval90
 from .claimed import BY_WORD, ClaimedScale

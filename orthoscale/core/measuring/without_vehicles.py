@@ -8,7 +8,8 @@ import numpy as np
 
 from ...errors import TooLittleEvidence
 from ..boxes import Boxes
-from ..evidence import SUPPORTS, Combined, Evidence, combined
+from ..evidence import SUPPORTS, Evidence
+from ..pooling.combining import Combined, combined
 from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, verdict

@@ -174,7 +174,7 @@ def together(agreement: Agreement) -> Scale:
 
 def _one_alone(agreement: Agreement, name: str) -> Scale:
     """The scale `name` alone. Unless other evidence contradicts it, this is because the two contradict each other: then
-    they are not averaged, and the interval covers both, as with other evidence (`core.evidence`)."""
+    they are not averaged, and the interval covers both, as with other evidence (`combining`)."""
     stands = agreement.scales[name]
     stands = replace(stands, checks=stands.checks | _values(agreement), remarks=_named(agreement.scales, name))
     return stands if stands.conflict else stands.contradicted_by(list(agreement.scales.values()))

@@ -22,7 +22,7 @@ import numpy as np
 
 from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
-from ..evidence import Evidence, combined
+from ..evidence import Evidence
 from ..fleet import MOSTLY, Fleet
 from ..normal import of_median
 from ..remarks import CAUTION, INFO, Remark, amount, signed
@@ -32,6 +32,7 @@ from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
 from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
+from .combining import combined
 from .mixture import FINE, Fits, fit
 from .observed import Seen
 from .one_model import OneModel, of_one_model
