@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orthoscale.anchors.peaks import circle_votes, peak_shift
+from orthoscale.anchors.peaks import circle_centres, peak_shift
 from orthoscale.anchors.ridges import CLEAR_RIDGE, DIRECTIONS, lightness, segments, steered
 
 
@@ -66,6 +66,8 @@ def test_a_peak_is_the_top_of_its_parabola_and_near_the_middle_sample():
 def test_the_edge_of_a_circle_votes_for_its_middle():
     turn = np.arange(90) * 2 * np.pi / 90
     normal = np.cos(turn), np.sin(turn)
-    votes = circle_votes((40 + 15 * normal[0], 30 + 15 * normal[1]), normal, 15.0, (61, 80), 3)
-    assert votes.shape == (21, 27) and np.unravel_index(votes.argmax(), votes.shape) == (10, 13)
-    assert votes.max() >= 90
+    place = 40 + 15 * normal[0], 30 + 15 * normal[1]
+    found, share = circle_centres(place, normal, 15.0, (61, 80), 3, 0.5), 90 / (2 * np.pi * 15)
+    assert found.mean(0) == pytest.approx([40, 31, 15, share]), "its cell, 3 px wide, and those around"
+    edge = circle_centres((place[0] - 40, place[1]), normal, 15.0, (61, 80), 3, 0.5)
+    assert edge[:, 3] == pytest.approx(share), "none votes twice at the picture's edge"

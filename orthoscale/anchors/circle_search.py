@@ -5,11 +5,10 @@ Ridges vote for the centre of their circle (Hough; Duda and Hart 1972), and a li
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from .court_models import Court
-from .peaks import circle_votes, peak_shift
+from .peaks import circle_centres, peak_shift
 from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, DIRECTIONS
 
@@ -28,15 +27,11 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     `size` [px] to within a factor exp(spread)."""
     radius = max(stroke.radius for stroke in court.strokes)
     reach = max(stroke.length for stroke in court.strokes if not stroke.radius) / 2
-    x, y, normal = _voters(ridges)
+    place, normal = _voters(ridges)
+    shape = ridges.height, ridges.width
     low, high = radius * size * np.exp([-spread, spread])
-    rows = []
-    for r in np.arange(low, high + RADII_APART, RADII_APART):
-        votes = _votes(x, y, normal, r, (ridges.height, ridges.width))
-        top = (votes >= CIRCLE_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
-        row, column = np.nonzero(top)
-        rows.append(np.column_stack([(column + 0.5) * BIN - 0.5, (row + 0.5) * BIN - 0.5, 0 * row + r, votes[top]]))
-    found = np.concatenate(rows)
+    radii = np.arange(low, high + RADII_APART, RADII_APART)
+    found = np.concatenate([circle_centres(place, normal, r, shape, BIN, CIRCLE_SEEN) for r in radii])
     most = max(FEWEST_CIRCLES, round(CIRCLES * ridges.width * ridges.height / 1e6))
     found = found[np.argsort(-found[:, 3], kind="stable")][:most]
     angle = np.arange(TURNS) * np.pi / TURNS
@@ -55,18 +50,11 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     return Poses(found[good, :2][order], angle[best][good][order], (found[good, 2] / radius)[order], score[order])
 
 
-def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels on ridges, x and y (N,), and the direction across the ridges (N,) [rad]."""
+def _voters(ridges: Ridges) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Pixels on ridges, x and y (N,), and the unit vectors across the ridges, x and y (N,)."""
     best = ridges.maps.argmax(0)
     y, x = np.nonzero(ridges.maps.max(0) >= VOTING * CLEAR_RIDGE)
     k = best[y, x]
     left, middle, right = (ridges.maps[(k + d) % DIRECTIONS, y, x].astype(float) for d in (-1, 0, 1))
-    return x, y, (k + peak_shift(left, middle, right)) * np.pi / DIRECTIONS + np.pi / 2
-
-
-def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a centre in each cell or a cell next to it, as
-    a share of the circumference."""
-    cells = circle_votes((x, y), (np.cos(normal), np.sin(normal)), radius, shape, BIN)
-    about = cv2.boxFilter(cells, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return about / np.float32(2 * np.pi * radius)
+    across = (k + peak_shift(left, middle, right)) * np.pi / DIRECTIONS + np.pi / 2
+    return (x, y), (np.cos(across), np.sin(across))

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from ..core.normal import ROBUST_SD
-from .peaks import circle_votes, peak_shift
+from .peaks import circle_centres, peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import sizes, within_reach
 from .strokes import values
@@ -37,7 +37,9 @@ VOTING_EDGE = 1.5  # of the mean gradient around: least gradient of an edge that
 AROUND_PX = 31  # [px] side of the square for that mean
 OVAL_BIN = 3  # [px] side of an accumulator cell
 BEND_SEEN = 0.16  # of a whole circle: least votes for a bend, which is half of one
-MOST_BENDS = 60
+MOST_BENDS, MOST_OVALS = 60, 20  # of one picture, the clearest
+BENDS_APART = 1.5  # [px] step between the radii that are tried
+UNLIKE_BENDS = 0.06  # of the radius: most that those of an oval's two bends may differ
 OVAL_SAMPLES = 240  # points along an oval
 SEEN_OVAL = 0.45  # least share of the oval on edges that run along it, before the fit ...
 FITTED_OVAL = 0.7  # ... and after, close to it
@@ -134,16 +136,9 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
     clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
     y, x = np.nonzero(clear)
     nx, ny = gx[y, x] / size[y, x], gy[y, x] / size[y, x]
-    bends = []
-    first, last = RADII[0] * low / KERB, RADII[1] * high / KERB
-    for radius in np.arange(first, last, 1.5):
-        cells = circle_votes((x, y), (nx, ny), radius, clear.shape, OVAL_BIN)
-        about = cv2.boxFilter(cells, -1, (3, 3), normalize=False)
-        votes = np.asarray(about / np.float32(2 * np.pi * radius), np.float32)
-        top = (votes >= BEND_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
-        for row, column in np.argwhere(top):
-            bends.append(((column + 0.5) * OVAL_BIN - 0.5, (row + 0.5) * OVAL_BIN - 0.5, radius, votes[row, column]))
-    best = np.array(sorted(bends, key=lambda bend: -bend[3])[:MOST_BENDS]).reshape(-1, 4)
+    radii = np.arange(RADII[0] * low / KERB, RADII[1] * high / KERB, BENDS_APART)
+    bends = np.concatenate([circle_centres((x, y), (nx, ny), r, clear.shape, OVAL_BIN, BEND_SEEN) for r in radii])
+    best = bends[np.argsort(-bends[:, 3], kind="stable")][:MOST_BENDS]
     ovals = []
     for i in range(len(best)):
         for j in range(i):
@@ -151,12 +146,12 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
             straight, radius = float(np.hypot(*step)), float(best[[i, j], 2].mean())
             oval = Oval(best[[i, j], :2].mean(0), float(np.arctan2(step[1], step[0])), straight, radius)
             right = STRAIGHT[0] * radius < straight < STRAIGHT[1] * radius and low < oval.length < high
-            if not right or abs(best[i, 2] - best[j, 2]) > 0.06 * radius:
+            if not right or abs(best[i, 2] - best[j, 2]) > UNLIKE_BENDS * radius:
                 continue
             seen = _seen(gx, gy, clear, oval)
             if seen > SEEN_OVAL:
                 ovals.append((seen, oval))
-    return [oval for _, oval in sorted(ovals, key=lambda each: -each[0])[:20]]
+    return [oval for _, oval in sorted(ovals, key=lambda each: -each[0])[:MOST_OVALS]]
 
 
 def _seen(gx: np.ndarray, gy: np.ndarray, clear: np.ndarray, oval: Oval) -> float:
