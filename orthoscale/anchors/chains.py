@@ -15,6 +15,8 @@ IN_LANE = np.radians(4)  # the next stroke lies within this angle of a stroke's 
 LANE_TURN = np.radians(8)  # most that a lane bends from one stroke to the next
 UNLIKE_DASHES = 1.5  # largest ratio of lengths of neighbours
 LINKED = 3.1  # periods over which strokes are linked: two dashes may be hidden by vehicles
+LEAST_STEP = 0.9, 1.2  # of the shortest period, and of the longer stroke: least distance of the centres of neighbours
+INSIDE_DASH = np.linspace(0.15, 0.85, 15)  # of a dash, and of a gap: where its colour is sampled, away from its ends
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tupl
     longer = np.maximum(strokes.length[i], strokes.length[j])
     own = np.maximum(*off) < np.sin(IN_LANE)
     own &= np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > np.cos(LANE_TURN)
-    own &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
+    own &= (longer < UNLIKE_DASHES * shorter) & (distance > np.maximum(LEAST_STEP[0] * low, LEAST_STEP[1] * longer))
     return i[own], j[own]
 
 
@@ -115,7 +117,7 @@ def levels(image: np.ndarray, chain: Chain, aside: float) -> ChainLevels:
     lines = chain.lines()
     along = _forward(chain.strokes)
     across = np.stack([-along[:, 1], along[:, 0]], -1)
-    share = np.linspace(0.15, 0.85, 15)[:, None, None]
+    share = INSIDE_DASH[:, None, None]
     on = lines[:, 0] * (1 - share) + lines[:, 1] * share
     between = lines[:-1, 1] * (1 - share) + lines[1:, 0] * share
     beside = np.stack([on - aside * across, on + aside * across], 1)

@@ -21,6 +21,7 @@ from .strokes import values
 LINE_SEED = 0.3  # least mean ridge of a seed, a short straight piece of a line
 LINES_PARALLEL = np.radians(4)
 BESIDE_SEED = 4  # least number of parallel seeds beside one that is a start
+SEED_GAP = 0.8  # of the smallest pitch: least distance between these
 MOST_STARTS, LEAST_STARTS = 150, 20  # most per megapixel, but never limited to fewer than the second
 LINE_SD_PX = 0.75, 1.2  # [px] limits of the ridge filter's sigma, which is half the width of a line
 LINE_LEAST = 0.1  # [grey levels] least ridge of a line in a cross section ...
@@ -162,8 +163,9 @@ def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
     near = cKDTree(np.hstack([seeds.middle, by_turn])).query_pairs(reach, output_type="ndarray")
     gap = seeds.middle[near[:, 1]] - seeds.middle[near[:, 0]]
     angle = seeds.angle[near[:, 0]]
+    ahead = np.abs(gap[:, 0] * np.cos(angle) + gap[:, 1] * np.sin(angle))
     across = np.abs(gap[:, 1] * np.cos(angle) - gap[:, 0] * np.sin(angle))
-    beside = (np.abs(gap[:, 0] * np.cos(angle) + gap[:, 1] * np.sin(angle)) < SEED_PX / 2) & (across > 0.8 * comb.low)
+    beside = (ahead < SEED_PX / 2) & (across > SEED_GAP * comb.low)
     support = np.bincount(near[beside].ravel(), minlength=len(seeds.angle))
     order = np.argsort(-support, kind="stable")
     order = order[support[order] >= BESIDE_SEED][: max(LEAST_STARTS, round(MOST_STARTS * light.size / 1e6))]

@@ -46,7 +46,10 @@ FEWEST_CONTAINERS = 3  # in a row
 SEGMENTED = 0.15  # [m/px] at which roofs are segmented: corrugation hardly shows; coarser pictures are enlarged
 ROOF_EDGES = (3.0, 5.0, 8.0, 13.0, 21.0)  # [grey levels/px] of an edge between roofs: each is tried
 ROUGH_SLACK = 1.22  # factor by which a region's sides may differ from a container's at the given scale
+ROUGH_AREA = 0.25  # of a roof's area: least area of a region
+ROUGH_BOX = 1.2  # of a roof's length: largest diagonal of the upright box about a region
 ROOF_FULL = 0.8  # least share of its bounding rectangle that a region fills
+SAME_ROOF = 0.4  # of its width: nearer to a roof's middle, another fit is to the same roof
 ASPECT = -0.12, 0.04  # limits of ln(aspect ratio / that of a standard): part of a gap is taken for roof
 ASPECT_PX = 0.4  # [px] error of the width that widens these limits
 EDGE_SOUGHT, EDGE_SOUGHT_PX = 0.35, 1.5  # [m] and [px] on either side of a rough side where its edge is searched
@@ -58,6 +61,7 @@ ACROSS_EDGE = 0.25  # [px] step of the samples across an edge
 FAINTEST_EDGE = 0.3  # [grey levels] from one step to the next
 FEWEST_PARTS = 8  # in all sides together
 FIT_ROUNDS, ROBUST_ROUNDS = 3, 5
+ROOF_TURN = 0.1  # [rad] most that one round of the fit turns a roof
 EDGE_CLEAR = 0.6  # least share of each side's parts whose edges lie within ...
 EDGE_STRAIGHT, EDGE_STRAIGHT_PX = 0.1, 0.4  # ... so many [m] and [px] of the fitted side
 ROW_TURN = np.radians(2.5)  # most between neighbours
@@ -65,7 +69,11 @@ ROW_LENGTH = 0.02  # most that neighbours' lengths may differ: |ln| of their rat
 ROW_LENGTH_PX = 0.5
 ROW_GAP = -0.1, 0.65  # [m] between neighbours side by side, or end to end
 ROW_SHIFT = 0.5  # [m] by which neighbours may be shifted against each other
+ROOF_INSIDE = 0.42, 0.32  # of its length and width, to either side of its middle: where a roof's colours are sampled
 ROOF_EVEN = 16.0  # [grey levels] largest scatter of one roof's colours, one sigma, mean over the channels
+# Of the way between the middles of two neighbours, from halfway: where the gap between them ends at the latest, and
+# from where it is surely roof. And of their sides: the width that is looked at.
+GAP_WITHIN, GAP_BEYOND, GAP_ALONG = 0.16, 0.21, 0.7
 PAINTED_GAP = 6.0  # [grey levels] by which a gap may be brighter than both roofs: else it is a painted line
 LENGTH_PX = 0.25  # [px] one sigma of a roof's length, common to a row: edges lie close to other edges
 
@@ -159,7 +167,8 @@ def _rough(image: np.ndarray, length: float, width: float, spread: float, gsd: f
         count, label, stats, _ = cv2.connectedComponentsWithStats((edge < limit).astype(np.uint8), connectivity=4)
         area = stats[:, cv2.CC_STAT_AREA] / zoom**2
         box = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) / zoom
-        likely = (area > 0.25 * length * width) & (area < length * width * slack**2) & (box < 1.2 * slack * length)
+        likely = (area > ROUGH_AREA * length * width) & (area < length * width * slack**2)
+        likely &= box < ROUGH_BOX * slack * length
         for k in (np.flatnonzero(likely[1:]) + 1).tolist():
             left, top, w, h = stats[k, :4].tolist()
             region = (label[top : top + h, left : left + w] == k).astype(np.uint8)
@@ -203,7 +212,7 @@ def _roofs(colours: np.ndarray, image: np.ndarray, gsd: float, gsd_sd: float, st
                 rows.append(fitted)
     kept: list[np.ndarray] = []
     for row in sorted(rows, key=lambda row: row[5]):
-        if all(np.hypot(*(row[:2] - other[:2])) > 0.4 * other[4] for other in kept):
+        if all(np.hypot(*(row[:2] - other[:2])) > SAME_ROOF * other[4] for other in kept):
             kept.append(row)
     found = np.array(kept).reshape(-1, 6)
     return Roofs(found[:, :2], found[:, 2], *found[:, 3:].T)
@@ -240,7 +249,7 @@ def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
             left = gap - by @ change
             weight = seen / (1 + (left / close) ** 2)
         x, y = x + change[0] * c - change[1] * s, y + change[0] * s + change[1] * c
-        angle += float(np.clip(change[2], -0.1, 0.1))
+        angle += float(np.clip(change[2], -ROOF_TURN, ROOF_TURN))
         length, width = length + 2 * change[3], width + 2 * change[4]
         if not 2 < width < length:
             return None
@@ -289,7 +298,8 @@ def _edges(
 
 def _is_one_colour(colours: np.ndarray, x: float, y: float, angle: float, length: float, width: float) -> bool:
     c, s = np.cos(angle), np.sin(angle)
-    u, v = np.meshgrid(np.linspace(-0.42, 0.42, 24) * length, np.linspace(-0.32, 0.32, 5) * width)
+    along, across = ROOF_INSIDE
+    u, v = np.meshgrid(np.linspace(-along, along, 24) * length, np.linspace(-across, across, 5) * width)
     seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(-1, 3)
     return bool(robust_sd(seen).mean() < ROOF_EVEN)
 
@@ -323,12 +333,13 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
 def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:
     """Whether the strip between two roofs is not brighter than both of them, as a painted line or a joint would be."""
     share = np.linspace(0, 1, 41)
+    off = share - 0.5
     along = roofs.along[a]
     middle = roofs.place[a] + share[:, None] * (roofs.place[b] - roofs.place[a])
     side = abs(float((roofs.place[b] - roofs.place[a]) @ along)) < roofs.length[a] / 2
     across = along if side else np.array([-along[1], along[0]])
-    wide = 0.7 * (roofs.length[a] if side else roofs.width[a])
+    wide = GAP_ALONG * (roofs.length[a] if side else roofs.width[a])
     spots = middle[:, None] + np.linspace(-0.5, 0.5, 15)[:, None] * wide * across
     seen = np.median(values(colours, spots), axis=1).mean(1)
-    inside = max(np.median(seen[:12]), np.median(seen[-12:]))
-    return bool(seen[14:27].max() < inside + PAINTED_GAP)
+    inside = max(np.median(seen[off < -GAP_BEYOND]), np.median(seen[off > GAP_BEYOND]))
+    return bool(seen[np.abs(off) < GAP_WITHIN].max() < inside + PAINTED_GAP)

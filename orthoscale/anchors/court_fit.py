@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from ..core.normal import ROBUST_SD
-from .court_models import Court, Pieces
+from .court_models import PARALLEL_STROKES, Court, Pieces
 from .peaks import peak_shift
+from .ridges import ridge_noise
 
 WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
 LEAST_WINDOW = 1.3  # [px] but never closer than this
@@ -46,15 +47,21 @@ FREE = 1.0  # [m] and [px] from all paint: beyond, the picture must be blank
 FREE_PX = 2.2
 CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is this close to it
 CLOSE_PX = 0.6
+WEIGHED = 1.5, 4.5  # [sigmas of the noise] strengths of ridges from which their weight is 0 and 1
 CLEAR_NOISES = 2.5  # [sigmas of the noise] a stronger ridge is real; it is that of a stroke ...
 FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
 MARRING = 0.5  # with this share it contradicts a blank
-ROUNDING = 0.1  # [grey levels] of noise at least
 FEWEST_PIECES = 12  # number of pieces on ridges that a fit needs
 HOPELESS = 0.45  # least share of pieces on ridges after the first round: with less the fit is given up
 SAMPLES_PX = 0.8  # [px] between samples along a piece
 LEAST_SD = 0.01  # [m] least scatter of the ridges about a fit
-PRIOR_SD = 0.1  # [ln] one sigma by which a round may change the pixels per metre
+# Parts of a pose: place along and across [m], angle [rad], pixels per metre along and across [ln].
+PRIOR_SD = np.array([5, 5, 0.5, 0.1, 0.1])  # one sigma by which a round may change them ...
+MOST_CHANGE = np.array([1, 1, 0.1, 0.2, 0.2])  # ... and the most
+RIDGE_SD = 0.05  # [m] one sigma of a ridge about its stroke, against which that prior is weighed
+NOT_ASTRAY = 0.02  # [m] least one sigma about a fit by which its outliers are judged
+OTHER_SIZE = 0.25  # [ln] by which a fitted size may differ from the one that was searched for
+CUT_OUT, CUT_OUT_PX = 0.6, 8  # [extents of the court] and [px] from its centre: beyond, the picture is not needed
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,7 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     gap = pieces.middle[None] - pieces.middle[:, None]
     beside = np.abs((gap * along[:, None]).sum(-1)) <= pieces.length[:, None] / 2
     off = gap[..., 1] * along[:, None, 0] - gap[..., 0] * along[:, None, 1]
-    parallel = np.abs(np.sin(pieces.direction - pieces.direction[:, None])) < 0.1
+    parallel = np.abs(np.sin(pieces.direction - pieces.direction[:, None])) < PARALLEL_STROKES
     one, other = np.nonzero(beside & parallel & (np.abs(off) < BESIDE) & (pieces.stroke != pieces.stroke[:, None]))
     return one, off[one, other]
 
@@ -241,7 +248,7 @@ class _Bands:
 
     def noise(self) -> float:
         """One sigma of the response where nothing is painted."""
-        return ROBUST_SD * float(np.median(np.abs(self.response))) + ROUNDING
+        return ridge_noise(self.response)
 
     def peaks(self, window: float) -> tuple[np.ndarray, np.ndarray]:
         """Offset [px] and strength (P,) of the strongest ridge within `window` [px]; strength 0 where there is none."""
@@ -310,7 +317,7 @@ def _moved(
 
 def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
     """The change (5,) of the pose that solves offset [m] = rows @ change by robust least squares (Tukey's weights)."""
-    held = np.diag([1e-4, 1e-4, 1e-2, 0.05**2 / PRIOR_SD**2, 0.05**2 / PRIOR_SD**2])
+    held = np.diag((RIDGE_SD / PRIOR_SD) ** 2)
     change = np.zeros(rows.shape[1])
     scale = width / 2
     robust = weight
@@ -322,7 +329,7 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
         left = np.abs(offset - rows @ change)
         # Under these weights the mean of a normal distribution's residuals gives a scale of 0.91 sigma: the weights end
         # at 2.7 sigma. A factor of 1.563 would give one sigma; it changed 252 courts on chips by 0.01 % (rms).
-        scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), 0.02, width / 2))
+        scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), NOT_ASTRAY, width / 2))
     return change
 
 
@@ -334,7 +341,7 @@ def fit_court(
     court is found in `light`, in which paint stands out. Where its strokes are a few pixels apart it is then measured
     in `grey`, plain brightness, which JPEG keeps at full resolution, unlike colours."""
     cut = _Cut.of(court, size)
-    reach = court.extent * size * 0.6 + 8
+    reach = court.extent * size * CUT_OUT + CUT_OUT_PX
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
     light, grey = (np.ascontiguousarray(each[corner[1] : upper[1], corner[0] : upper[0]]) for each in (light, grey))
@@ -355,7 +362,7 @@ def fit_court(
             return None
         offset = offset - _moved(cut, bands, offset, strength, (size, now), WIDE_SIGHT)
         pose = _changed(pose, _solve(cut.rows, offset / now, weight, window_px / now))
-        if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
+        if not (np.abs(np.log(pose[3:] / size)) < OTHER_SIZE).all():
             return None
     sight = WIDE_SIGHT
     if np.abs(cut.neighbours[1]).min(initial=BESIDE) * now < FINE_BELOW:
@@ -394,17 +401,17 @@ def _blurred(cut: _Cut, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray
 
 
 def _weights(strength: np.ndarray, noise: float) -> np.ndarray:
-    """(P,) weights of ridges, from 0 at 1.5 sigmas of the noise to 1 at 4.5."""
-    return np.clip((strength / noise - 1.5) / 3, 0, 1)
+    """(P,) weights of ridges, from 0 to 1, see WEIGHED."""
+    low, high = WEIGHED
+    return np.clip((strength / noise - low) / (high - low), 0, 1)
 
 
 def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The pose after a `change` of `_solve`, which is limited to what one round may change."""
-    change = np.clip(change, -1, 1)
+    """The pose after a `change` of `_solve`, which is limited to MOST_CHANGE."""
+    change = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     place = pose[:2] + change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
-    sizes = pose[3:] * np.exp(np.clip(change[3:], -0.2, 0.2))
-    return np.array([*place, pose[2] + np.clip(change[2], -0.1, 0.1), *sizes])
+    return np.array([*place, pose[2] + change[2], *(pose[3:] * np.exp(change[3:]))])
 
 
 def _judged(light: np.ndarray, cut: _Cut, pose: np.ndarray, corner: np.ndarray, sight: _Sight) -> CourtFit:

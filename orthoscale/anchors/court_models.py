@@ -14,6 +14,8 @@ import numpy as np
 from ..core.anchors import Standard
 
 NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where grids of joints and parking bays have their next line
+FINE_PIECE = 0.3  # [m] of the pieces of paint from which blanks keep their distance
+PARALLEL_STROKES = 0.1  # sine of the angle up to which pieces and strokes count as parallel
 BEYOND_END = 2.4  # [m] for which a stroke must not continue beyond its end
 
 
@@ -107,7 +109,7 @@ class Court:
     def blanks(self, length: float, free: float) -> Pieces:
         """Where nothing is painted: beside the strokes and beyond their ends, in pieces of `length` [m] that are at
         least `free` [m] from all paint."""
-        painted, fine = self.pieces(length), self.pieces(0.3).middle
+        painted, fine = self.pieces(length), self.pieces(FINE_PIECE).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
         for away in self.beside:

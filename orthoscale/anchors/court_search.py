@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.angles import axis_angle
 from .circle_search import circled
-from .court_models import Court
+from .court_models import PARALLEL_STROKES, Court
 from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, SEED_PX, Segments
 
@@ -182,7 +182,7 @@ def _placed(ridges: Ridges, court: Court, family: _Family, loose: _LoosePoses) -
     cos, sin = np.cos(turn), np.sin(turn)
     size = loose.size[:, None, None]
     score = np.zeros(shift.shape, np.float32)
-    parallel = np.abs(np.sin(pieces.direction - family.direction)) < 0.1
+    parallel = np.abs(np.sin(pieces.direction - family.direction)) < PARALLEL_STROKES
     # strokes that cross the seeds need every pixel along them, parallel ones only some
     for which, every in ((~parallel, 1), (parallel, APART)):
         u, v = pieces.middle[which] @ (c, s), pieces.middle[which] @ (-s, c)

@@ -30,6 +30,7 @@ from .ridges import lightness
 from .rules import SIGMAS_SEARCHED
 
 SEARCHED = 0.3  # [m/px] of the search: a line of 5 cm is just seen, and a court is small
+SAME_RESOLUTION = 0.05  # [ln] a picture nearer to that of the search is not resampled
 ENLARGED = 2.0  # largest factor: a coarser picture is searched at a coarser resolution
 SURE = 0.8  # share of a fit's paint that is seen, from which no other court is tried on it
 COURTS_OVERLAP = 0.95  # of both sides: courts with nearer centres overlap; the rest allows for errors of fits
@@ -80,7 +81,7 @@ def size_of(fit: CourtFit) -> tuple[float, float]:
 
 def _resized(light: np.ndarray, gsd: float, searched: float) -> np.ndarray:
     factor = min(gsd / searched, ENLARGED)
-    if abs(np.log(factor)) < 0.05:
+    if abs(np.log(factor)) < SAME_RESOLUTION:
         return light
     size = [max(1, round(side * factor)) for side in light.shape[::-1]]
     return cv2.resize(light, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC)

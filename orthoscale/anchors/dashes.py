@@ -77,6 +77,7 @@ ANY_SHARE = 0.12, 0.7  # limits of the share of paint where a standard does not 
 LANE_LINE_SIGMA = 0.09  # [m] one sigma of the ridge filter: lines are 0.10 to 0.15 m wide
 LANE_THINNEST = 0.8  # [px] least value of that sigma
 LANE_FEWEST = 5  # dashes
+LANE_LENGTHS = 0.8, 1.2  # of the shortest and the longest dash of the standards: limits of a stroke's length
 LANE_FILLED = 0.55  # least share of the row's places that have a dash: vehicles hide some
 LANE_REGULAR = 3.5  # least `Row.regularity`: natural logarithm of the likelihood ratio of a row to chance
 LANE_UNEVEN = 0.2  # of the median length: most that the lengths may scatter, one sigma
@@ -105,7 +106,7 @@ class LaneDashes:
         low, high = sizes(standards, gsd, gsd_sd)
         slack = low * gsd / min(standard.metres for standard in standards)
         dashes = [each.metres * share for each in standards for share in _shares(each)]
-        shortest, longest = min(dashes) * 0.8 * slack / gsd, max(dashes) * 1.2 / slack / gsd
+        shortest, longest = min(dashes) * LANE_LENGTHS[0] * slack / gsd, max(dashes) * LANE_LENGTHS[1] / slack / gsd
         if min(image.shape[:2]) < shortest:
             return []
         strokes = find_strokes(paint_light(image), max(LANE_LINE_SIGMA / gsd, LANE_THINNEST), shortest)

@@ -14,11 +14,15 @@ from .strokes import Strokes, near_pairs, values
 RUNGS_TURN = np.radians(5)  # most from one stroke to the next
 RUNGS_PARALLEL = np.cos(RUNGS_TURN)
 STEEPEST_SLANT = 1.3  # tangent: most that a stroke may stand ahead of its neighbour, in pitches
-RUNGS_BESIDE = 0.5  # of the shorter: least length over which neighbours lie side by side
+RUNGS_BESIDE = 0.5  # of the shorter: least length over which neighbours lie side by side ...
+RUNGS_SLANTED = 0.25  # ... and in a row that is no steeper than the slant
+RUNGS_APART = 0.8, 1.05  # of the smallest pitch and of the farthest reach: limits of the distance of neighbours
 UNLIKE_RUNGS = 1.7  # largest ratio of lengths of neighbours: a vehicle may hide part of one
 BETWEEN_RUNGS = 0.27  # of a pitch: least distance from both strokes of a line between them; double lines stand closer
 LEAN_PX = 0.1  # [px] over its length: one sigma by which a stroke leans towards rows or columns, common to all
-PROFILES = 12  # cross sections of each stroke
+PROFILES = np.linspace(-0.42, 0.42, 12)  # of a stroke's length, from its middle: where it is cut across
+INSIDE_RUNG = np.linspace(0.1, 0.9, 16)  # of a stroke: where its colour is sampled, away from its ends
+PAST_RUNG = np.linspace(-0.3, 0.3, 5)  # of the distance past its ends, about it: where the colour there is sampled
 ALIKE_PAIR, PAIR_BESIDE = 1.3, 0.7  # of the lines of a double one: largest ratio of lengths, least share side by side
 LADDERS = 8  # most ladders in one cluster of strokes
 
@@ -150,8 +154,9 @@ def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: f
     """The pairs (i, j) that can belong to one ladder: alike, and side by side."""
     ahead, across, shorter, longer, own = _compared(strokes, i, j)
     overlap = (shorter + longer) / 2 - ahead
-    own &= (across > 0.8 * low) & (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
-    own &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
+    own &= (across > RUNGS_APART[0] * low) & (across < RUNGS_APART[1] * reach) & (longer < UNLIKE_RUNGS * shorter)
+    slanted = ahead < STEEPEST_SLANT * across
+    own &= overlap > np.where(slanted, RUNGS_SLANTED, RUNGS_BESIDE) * shorter
     return i[own], j[own]
 
 
@@ -186,11 +191,10 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     of each line. All get one direction, since ridges of lines a pixel wide lean towards rows or columns."""
     strokes = ladder.strokes
     reach += ladder.apart / 2
-    share = np.linspace(-0.42, 0.42, PROFILES)
     offset = np.linspace(-reach, reach, 2 * int(np.ceil(2 * reach)) + 1)
-    t = strokes.length[:, None] * share
+    t = strokes.length[:, None] * PROFILES
     place = (strokes.centre[:, None] + t[..., None] * ladder.along)[:, :, None] + offset[:, None] * ladder.across
-    seen = values(light, place)  # (M, PROFILES, O)
+    seen = values(light, place)  # (M, P, O)
     rise = np.linspace(0, 1, len(offset))
     over = np.maximum(seen - seen[..., :1] * (1 - rise) - seen[..., -1:] * rise, 0)
     mass = over.sum(-1)
@@ -247,8 +251,8 @@ def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Ladd
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
     ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
-    share = np.linspace(0.1, 0.9, 16)[:, None, None]
-    spot = np.linspace(-0.3, 0.3, 5)[:, None, None, None] * past * ladder.along
+    share = INSIDE_RUNG[:, None, None]
+    spot = PAST_RUNG[:, None, None, None] * past * ladder.along
 
     axis = lines[:, 0] * (1 - share) + lines[:, 1] * share
     half = ladder.apart / 2 * ladder.across

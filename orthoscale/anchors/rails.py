@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
 from ..core.angles import axis_angle
-from ..core.normal import ROBUST_SD, median_sd, robust_sd
+from ..core.normal import median_sd, robust_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
-from .ridges import SEED_PX, Segments, lightness, segments, steered
+from .ridges import SEED_PX, Segments, lightness, ridge_noise, segments, steered
 from .rules import sizes, within_reach
 from .strokes import values
 
@@ -50,7 +50,8 @@ RAIL_FALSE_WITHOUT = 0.15  # with a second track only
 RAIL_SEED = 0.3  # least mean ridge of a piece of a rail
 RAIL_PARALLEL = np.radians(2.5)  # between two pieces of one track
 STARTS = 150  # pairs per megapixel, those that most others continue
-CONTINUED = 2  # least number of pairs that continue a pair in its line
+CONTINUED = 2  # least number of pairs that continue a pair in its line ...
+CONTINUED_WITHIN, CONTINUED_ASIDE = 2.5, 0.1  # ... within so many seeds, and off it by this share of the distance
 BLOCK = 3.0  # [m] of track whose cross section is taken at once
 RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # least one sigma of the ridge filter [m] and [px]
 RAIL_WINDOW = 0.1  # of the distance between rails: how far from their places they are searched
@@ -63,6 +64,9 @@ RAIL_CROWDED = 0.35  # ... which at most this share of the blocks may have
 CLOSE_BESIDE, FARTHEST_BESIDE = 0.9, 1.6  # [distances of rails] from the middle: limits of where that is searched
 RAIL_SAME_GROUND = 22.0  # [grey levels] by which the ground may differ between the rails and outside
 SLEEPERS = 0.48, 0.72  # [m] period: 0.60 to 0.65 in Europe, 0.50 to 0.55 under wood in America and Russia
+AROUND_SLEEPERS = 0.35, 2.5  # [m] other periods, to compare with
+BETWEEN_RAILS = 0.3  # [distances of rails] from the middle: where what lies between the rails is sampled
+OUTSIDE_RAILS = 0.65  # [distances of rails] from the middle, out to CLOSE_BESIDE: where the ground beside is sampled
 SLEEPER_PEAK = 5.0  # least peak, in medians of the spectrum of what lies between the rails
 TRACKS_APART = 3.3, 6.5  # [m] between the middles of two tracks
 ALIKE_TRACKS = 0.02  # largest relative difference of the distances between their rails
@@ -201,13 +205,13 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
         return np.zeros((0, 4))
     middle = seeds.middle[pair].mean(1)
     # pairs alike in place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, is half the reach
-    reach = 2.5 * SEED_PX
+    reach = CONTINUED_WITHIN * SEED_PX
     by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
     place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     c, s = np.cos(angle[near[:, 0]]), np.sin(angle[near[:, 0]])
     gap = middle[near[:, 1]] - middle[near[:, 0]]
-    behind = (np.abs(gap[:, 1] * c - gap[:, 0] * s) < 0.1 * apart[near[:, 0]]) & (
+    behind = (np.abs(gap[:, 1] * c - gap[:, 0] * s) < CONTINUED_ASIDE * apart[near[:, 0]]) & (
         np.abs(gap[:, 0] * c + gap[:, 1] * s) > SEED_PX / 2
     )
     support = np.bincount(near[behind].ravel(), minlength=len(pair))
@@ -269,12 +273,12 @@ def _block(
         rail.append((offset[k] + 0.25 * float(peak_shift(left, middle, right)), middle))
     (a, one), (b, other) = rail
     away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
-    near = away & (np.abs(offset) < CLOSE_BESIDE * apart)
-    noise = ROBUST_SD * float(np.median(np.abs(response[near]))) + 0.1
+    close = np.abs(offset) < CLOSE_BESIDE * apart
+    near = away & close
     weaker = min(one, other)
-    if weaker < RAIL_CLEAR * noise:
+    if weaker < RAIL_CLEAR * ridge_noise(response[near]):
         return None
-    between, beside = np.abs(offset) < 0.3 * apart, (np.abs(offset) > 0.65 * apart) & (np.abs(offset) < 0.9 * apart)
+    between, beside = np.abs(offset) < BETWEEN_RAILS * apart, (np.abs(offset) > OUTSIDE_RAILS * apart) & close
     ground = np.array([np.median(profile[part]) for part in (beside & (offset < 0), between, beside & (offset > 0))])
     third = float(response[near].max()) / weaker, float(response[away].max()) / weaker
     return TrackBlock(place + (a + b) / 2 * across, angle, b - a, third, ground)
@@ -305,7 +309,7 @@ def _has_sleepers(light: np.ndarray, track: Track, standards: Sequence[Standard]
     place = np.column_stack([np.interp(s, at, track.middle[:, k]) for k in (0, 1)])
     along = np.column_stack([np.interp(s, at, track.along[:, k]) for k in (0, 1)])
     across = np.stack([-along[:, 1], along[:, 0]], -1)
-    offset = np.linspace(-0.3, 0.3, 13)[:, None, None] * track.distance
+    offset = np.linspace(-BETWEEN_RAILS, BETWEEN_RAILS, 13)[:, None, None] * track.distance
     seen = values(light, place + offset * across).mean(0)
     width = max(3, int(2 * track.distance))
     seen = seen - np.convolve(
@@ -316,7 +320,7 @@ def _has_sleepers(light: np.ndarray, track: Track, standards: Sequence[Standard]
     for standard in standards:
         pixel = standard.metres / track.distance
         among = (rate * SLEEPERS[1] / pixel >= 1) & (rate * SLEEPERS[0] / pixel <= 1)
-        around = (rate * 2.5 / pixel >= 1) & (rate * 0.35 / pixel <= 1) & ~among
+        around = (rate * AROUND_SLEEPERS[1] / pixel >= 1) & (rate * AROUND_SLEEPERS[0] / pixel <= 1) & ~among
         if among.any() and around.any() and spectrum[among].max() > SLEEPER_PEAK * np.median(spectrum[around]):
             return True
     return False

@@ -13,12 +13,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..core.normal import ROBUST_SD
+
 BLUR_PX = 0.9  # [px] one sigma of smoothing for the derivatives: keeps a line one pixel wide, removes most noise
 DIRECTIONS = 8  # steered maps over half a turn: a line is at most 11 degrees off one and keeps 0.94 of its strength
 CLEAR_RIDGE = 120  # a ridge of full strength in the maps, which are int8
 SEED_PX = 32  # [px] rows of a strip: the length of a seed along rows or columns
 SURROUNDINGS = 24  # [px] one sigma of the window for the local mean
 FLOOR = 0.35  # [grey levels] least local mean: below it are compression and rounding
+ROUNDING = 0.1  # [grey levels] of noise at least
 STRONGEST = 1.6  # [local means] from which on a ridge has full strength
 
 
@@ -49,6 +52,11 @@ def steered(light: np.ndarray) -> np.ndarray:
             ridge = across - 0.5 * np.maximum(along, 0)
             maps[direction] = np.clip(ridge, -CLEAR_RIDGE, CLEAR_RIDGE, out=ridge)
     return maps
+
+
+def ridge_noise(response: np.ndarray) -> float:
+    """One sigma [grey levels] of the `response` (any shape) of a ridge filter, most of it to nothing painted."""
+    return ROBUST_SD * float(np.median(np.abs(response))) + ROUNDING
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ from ..core.linked import linked
 JOINED_HEADING = np.cos(np.radians(20))  # least cosine between the directions of neighbouring ridge points of a stroke
 ROUND_STROKE = 0.6  # of the curvature across: with more along, it is a blob
 BENT_PX, BENT_WIDE = 0.1, 0.3  # [px] and [sigmas of the filter]: largest one sigma of points across a straight stroke
+OFF_PIXEL = 0.6  # [px] from its pixel's centre, to each side, within which a ridge belongs to that pixel
+STROKE_FILLED = 0.7  # points of a stroke per pixel of its length, at least
+STROKE_POINTS = 0.6  # of the least length: with fewer points [px], a group is no stroke
 ASTRAY_PX = 1.3  # [px] from the first line, beyond which a point does not belong to the stroke
 FAINTEST_STROKE = 1.2  # [grey levels] curvature across, below which a ridge is noise
 STRIP_ROWS = 512  # of a picture that are processed together
@@ -136,7 +139,7 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
     y, x = np.divmod(at, light.shape[1])
     points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx, -least * sigma**2])
-    return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6]
+    return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= OFF_PIXEL]
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
@@ -182,7 +185,7 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
     the second.
     """
     size = np.bincount(member)
-    kept = size[member] >= 0.6 * shortest
+    kept = size[member] >= STROKE_POINTS * shortest
     for _ in range(2):
         point, strength = point[kept], strength[kept]
         number = np.unique(member[kept], return_inverse=True)[1]
@@ -202,5 +205,5 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
     np.maximum.at(last, number, t)
     centre = centre + along * ((first + last) / 2)[:, None]
     mean = np.bincount(number, strength) / n
-    good = (last - first >= shortest) & (across < bent**2) & (n > 0.7 * (last - first))
+    good = (last - first >= shortest) & (across < bent**2) & (n > STROKE_FILLED * (last - first))
     return Strokes(centre, along, last - first, mean)[good]
