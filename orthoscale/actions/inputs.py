@@ -208,7 +208,7 @@ def _is_of_a_report(path: Path) -> bool:
 
 
 def _is_model(folder: Path) -> bool:
-    from ..sources.colmap_check import model_folders
+    from ..sources.colmap_find import model_folders
 
     if find_exchange(folder) is not None:
         return True

@@ -55,7 +55,7 @@ def models_in(path: Path) -> list[Path]:
     file."""
     if not path.is_dir() or find_exchange(path) is not None:
         return []
-    from ..sources.colmap_check import model_folders
+    from ..sources.colmap_find import model_folders
 
     folders = model_folders(path)
     return folders if len(folders) > 1 else []

@@ -75,8 +75,13 @@ class _Bytes:
             raise damaged(self.where, f"{self.size - self.at} bytes more than the announced records need")
 
 
+# Records of fixed size, and heads of longer ones.
+_CAMERA, _IMAGE, _RIG, _FRAME, _DATUM = "IiQQ", "I7dI", "II", "II7dI", "iIQ"
 _OBSERVATION = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
 _POINT = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
+CAMERA_BYTES = struct.calcsize(f"<{_CAMERA}2d")  # at least: a spherical one has two parameters
+IMAGE_BYTES = struct.calcsize(f"<{_IMAGE}xQ")  # at least: no name but its end, and a count of no observations
+RIG_BYTES, FRAME_BYTES, DATUM_BYTES = (struct.calcsize(f"<{form}") for form in (_RIG, _FRAME, _DATUM))
 
 
 def read_binary(paths: dict[str, Path]) -> Tables:
@@ -98,9 +103,9 @@ def read_binary(paths: dict[str, Path]) -> Tables:
 
 
 def _binary_cameras(file: _Bytes, tables: Tables) -> None:
-    for _ in range(file.count(40, "cameras")):  # the least has a spherical one, with two parameters
+    for _ in range(file.count(CAMERA_BYTES, "cameras")):
         where = file.where
-        camera, model, width, height = file.take("IiQQ", "a camera")
+        camera, model, width, height = file.take(_CAMERA, "a camera")
         if model not in CAMERA_MODELS:
             raise unknown_camera(where, camera, model)
         params = file.take(f"{CAMERA_MODELS[model][1]}d", f"the parameters of camera {camera}")
@@ -108,13 +113,13 @@ def _binary_cameras(file: _Bytes, tables: Tables) -> None:
 
 
 def _binary_images(file: _Bytes, tables: Tables) -> None:
-    for _ in range(file.count(73, "images")):
+    for _ in range(file.count(IMAGE_BYTES, "images")):
         where = file.where
-        image, *pose, camera = file.take("I7dI", "an image")
+        image, *pose, camera = file.take(_IMAGE, "an image")
         name = file.text(f"the name of image {image}")
-        count = file.count(24, f"observations of image {image} ({name})")
+        count = file.count(_OBSERVATION.itemsize, f"observations of image {image} ({name})")
         seen = np.frombuffer(file.data, _OBSERVATION, count, file.at) if count else np.empty(0, _OBSERVATION)
-        file.at += 24 * count
+        file.at += _OBSERVATION.itemsize * count
         tables.images.append(ImageRow(where, image, tuple(pose), camera, name, seen["xy"], seen["point"]))
 
 
@@ -147,10 +152,10 @@ def _binary_points(file: _Bytes, tables: Tables) -> None:
 
 def _binary_rigs(file: _Bytes, tables: Tables) -> None:
     tables.rigs = {}
-    for _ in range(file.count(8, "rigs")):
+    for _ in range(file.count(RIG_BYTES, "rigs")):
         where = file.where
         sensors: list[tuple[int, int, tuple[float, ...]]] = []
-        rig, count = file.take("II", "a rig")
+        rig, count = file.take(_RIG, "a rig")
         for k in range(count):
             kind, sensor = file.take("iI", f"the sensors of rig {rig}")
             pose: tuple[float, ...] = ()
@@ -162,9 +167,9 @@ def _binary_rigs(file: _Bytes, tables: Tables) -> None:
 
 def _binary_frames(file: _Bytes, tables: Tables) -> None:
     tables.frames = {}
-    for _ in range(file.count(68, "frames")):
+    for _ in range(file.count(FRAME_BYTES, "frames")):
         where = file.where
-        frame, rig, *pose, count = file.take("II7dI", "a frame")
-        file.need(16 * count, f"the {count} data of frame {frame}")
-        data = [file.take("iIQ", "") for _ in range(count)]
+        frame, rig, *pose, count = file.take(_FRAME, "a frame")
+        file.need(DATUM_BYTES * count, f"the {count} data of frame {frame}")
+        data = [file.take(_DATUM, "") for _ in range(count)]
         add(tables.frames, frame, FrameRow(where, rig, tuple(pose), data), where, "frame")

@@ -1,4 +1,4 @@
-"""Finds a COLMAP model and checks its files before pycolmap reads them.
+"""Checks the files of a COLMAP model before pycolmap reads them.
 
 pycolmap trusts what it reads: a wrong count takes all memory, a NaN pose loads as valid, random bytes hang it. Here
 every count is compared with the file's size, every number must be finite, and every reference must exist.
@@ -6,7 +6,6 @@ every count is compared with the file's size, every number must be finite, and e
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,28 +15,25 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError
-from ..formats.other_programs import project_in
-from .colmap_binary import read_binary
+from .colmap_find import TABLE_READERS, choose_format, find_folder, paths_of
 from .colmap_tables import (
     CAMERA_MODELS,
     CAMERA_SENSOR,
     IDENTITY,
     NO_POINT,
-    RIG_TABLES,
     SENSOR_TYPES,
-    TABLES,
     FrameRow,
     ImageRow,
     RigRow,
     Tables,
     damaged,
 )
-from .colmap_text import read_text
 from .consistency import Observations, observations, some_of_each
 from .fingerprint import Stamp
 
 FARTHEST = 1e12  # [units] nothing on Earth is so far, not even in millimetres
+NOT_UNIT = 0.01  # by which the norm of a quaternion may differ from 1
+SAME_POSE = 1e-4  # [rad] and [of the largest coordinate] by which a pose may differ from that of its frame
 
 
 @dataclass(frozen=True)
@@ -66,136 +62,18 @@ def open_model(path: Path) -> ModelFiles:
     `sparse/0` or the like; of several models the one with the most images is taken.
     Raises InputError, saying which file, where in it and which image, for anything missing or damaged.
     """
-    folder, notes = _find_folder(Path(path))
-    form, more = _choose_format(folder)
-    paths = _paths(folder, form)
+    folder, notes = find_folder(Path(path))
+    form, more = choose_format(folder)
+    paths = paths_of(folder, form)
     stamps = tuple(map(Stamp.of, paths.values()))
-    tables = _READERS[form](paths)
+    tables = TABLE_READERS[form](paths)
     _check(tables)
     return ModelFiles(folder, form, tuple(paths.values()), stamps, _seen(tables), _parts(tables), (*notes, *more))
 
 
 def check_model(folder: Path, form: str) -> None:
     """Check the files of the model in `folder` of the format `form` ('bin' or 'txt'); raises as `open_model`."""
-    _check(_READERS[form](_paths(folder, form)))
-
-
-# --- Which files -----------------------------------------------------------------------------------------------------
-
-
-def model_folders(path: Path) -> list[Path]:
-    """The folders of all models at or below `path`, as COLMAP's mapper leaves them: ``sparse/0``, ``sparse/1`` ...
-
-    `path` is as in `open_model`. Raises InputError if there is none. The files are not read.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(
-            f"{path} does not exist", "Give the folder that holds cameras.bin, images.bin and points3D.bin."
-        )
-    if not path.is_dir():
-        raise InputError(f"{path} is a file, not a folder", "Give the folder that holds the model's files.")
-    try:
-        for group in (
-            [path],
-            [path / "sparse"],
-            _subfolders(path / "sparse"),
-            _numbered(path),
-            _subfolders(path / "colmap/sparse"),
-        ):
-            if models := [folder for folder in group if _holds_model(folder)]:
-                return models
-        project = project_in(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Check its permissions.") from error
-    raise InputError(
-        f"{path} holds no COLMAP model (no cameras.bin or cameras.txt in it, in sparse/ or in sparse/0)",
-        project
-        or "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names. "
-        f"Orthophotos in folders below it: '{path}/*/*.tif', in quotes.",
-    )
-
-
-def _find_folder(path: Path) -> tuple[Path, list[str]]:
-    models = model_folders(path)
-    if len(models) == 1:
-        return models[0], []
-    sizes = [_image_count(folder) for folder in models]
-    best = models[int(np.argmax(sizes))]
-    others = ", ".join(f"{m.name}: {n}" for m, n in zip(models, sizes, strict=True) if m != best)
-    return best, [f"{path} holds {len(models)} models: {best} has the most images ({max(sizes)}; {others})"]
-
-
-def _holds_model(folder: Path) -> bool:
-    return any((folder / f"{table}.{form}").is_file() for form in ("bin", "txt") for table in ("cameras", "images"))
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
-
-
-def _numbered(folder: Path) -> list[Path]:
-    return [p for p in _subfolders(folder) if p.name.isdigit()]
-
-
-def _image_count(folder: Path) -> int:
-    """Number of images that the files announce. It serves to choose between models, and is checked only afterwards."""
-    binary, text = folder / "images.bin", folder / "images.txt"
-    if binary.is_file():
-        with binary.open("rb") as file:
-            head = file.read(8)
-        count = struct.unpack("<Q", head)[0] if len(head) == 8 else 0
-        return count if count * 73 <= binary.stat().st_size else 0
-    if text.is_file():
-        with text.open("rb") as file:
-            return sum(1 for line in file if not line.startswith(b"#")) // 2
-    return 0
-
-
-def _paths(folder: Path, form: str) -> dict[str, Path]:
-    """The files of one format, by table; both or none of rigs and frames."""
-    paths = {table: folder / f"{table}.{form}" for table in TABLES}
-    rigs = {table: folder / f"{table}.{form}" for table in RIG_TABLES}
-    there = [path for path in rigs.values() if path.is_file()]
-    if len(there) == 1:
-        missing = next(path for path in rigs.values() if path not in there)
-        raise InputError(
-            f"{missing} is missing beside {there[0].name}",
-            "Copy it from the original model; or, if the model has no rigs, move the other one away too.",
-        )
-    return paths | (rigs if there else {})
-
-
-def _choose_format(folder: Path) -> tuple[str, list[str]]:
-    missing = {form: [t for t in TABLES if not (folder / f"{t}.{form}").is_file()] for form in ("bin", "txt")}
-    if missing["bin"] and missing["txt"]:
-        form = min(missing, key=lambda f: len(missing[f]))
-        names = ", ".join(f"{table}.{form}" for table in missing[form])
-        raise InputError(f"{folder}: {names} missing", "Copy the whole model folder.")
-    if missing["bin"]:
-        stray = [f"{t}.bin" for t in TABLES if t not in missing["bin"]]
-        return "txt", [
-            f"{folder}: reading the .txt files; {', '.join(stray)} without the rest ignored"
-        ] if stray else []
-    if missing["txt"]:
-        return "bin", []
-    # COLMAP reads .bin and ignores .txt beside it. File dates prove nothing after a copy, so contents must agree.
-    if _poses(read_binary(_paths(folder, "bin"))) != _poses(read_text(_paths(folder, "txt"))):
-        raise InputError(
-            f"{folder} holds two different models, one in .bin and one in .txt files",
-            "COLMAP would read the .bin files and ignore the .txt. Move those you do not mean to another folder.",
-        )
-    return "bin", [f"{folder}: .bin and .txt files agree; the .bin files are read"]
-
-
-def _poses(tables: Tables) -> dict[str, tuple[float, ...]]:
-    return {image.name: tuple(round(x, 5) + 0.0 for x in image.pose) for image in tables.images}
-
-
-_READERS = {"bin": read_binary, "txt": read_text}
-
-
-# --- Checks of values and references ---------------------------------------------------------------------------------
+    _check(TABLE_READERS[form](paths_of(folder, form)))
 
 
 def _check(tables: Tables) -> None:
@@ -211,7 +89,7 @@ def _check_pose(where: str, pose: tuple[float, ...], what: str) -> None:
     if not (np.abs(pose) <= FARTHEST).all():
         raise damaged(where, f"the pose of {what} has a value that is not a finite number, or beyond {FARTHEST:g}")
     norm = np.linalg.norm(pose[:4])
-    if abs(norm - 1) > 0.01:
+    if abs(norm - 1) > NOT_UNIT:
         raise damaged(where, f"the rotation of {what} is not a unit quaternion (its norm is {norm:.3g})")
 
 
@@ -381,7 +259,7 @@ def _check_agreement(images: list[ImageRow], poses: np.ndarray) -> None:
     sensor, rig, camera = (Rotation.from_quat(pose[:, [1, 2, 3, 0]]) for pose in (poses[:, 0], poses[:, 1], own))
     turn = ((sensor * rig).inv() * camera).magnitude()
     shift = np.linalg.norm(sensor.apply(poses[:, 1, 4:]) + poses[:, 0, 4:] - own[:, 4:], axis=1)
-    off = (turn > 1e-4) | (shift > 1e-4 * np.abs(own[:, 4:]).max())
+    off = (turn > SAME_POSE) | (shift > SAME_POSE * np.abs(own[:, 4:]).max())
     if off.any():
         image = images[int(np.argmax(off))]
         raise damaged(

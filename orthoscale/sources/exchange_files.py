@@ -25,7 +25,7 @@ def find_exchange(path: Path) -> Path | None:
     places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("*.nvm"))]
     found = next((place for place in places if place.is_file()), None)
     if found is not None:
-        from .colmap_check import model_folders
+        from .colmap_find import model_folders
 
         try:
             model_folders(path)

@@ -15,7 +15,7 @@ from ..formats.geometry.files import WrittenFiles, scale_file
 from ..formats.reading import absent
 from .cameras import SCALED_MARK, cameras_in, refuse_another
 from .colmap import ColmapSource, scale_model, scale_workspace
-from .colmap_check import model_folders
+from .colmap_find import model_folders
 from .dense_cloud import check_workspace
 from .opening import NO_CLOUD, open_source
 
