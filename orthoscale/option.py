@@ -26,7 +26,7 @@ class Option:
 
     choices : the allowed values; empty if any is. flag : its name on the command line, if not made from the field's.
     metavar : placeholder of the value in the help. positive : whether a number must be above 0. not_negative : whether
-    it must be 0 or more. is_file : whether a text names a file; a Path always does.
+    it must be 0 or more. file_in : the file that a text names, None if it names none; a Path always names one.
     """
 
     kind: type
@@ -37,7 +37,7 @@ class Option:
     metavar: str | None = None
     positive: bool = False
     not_negative: bool = False
-    is_file: Callable[[str], bool] = lambda text: False
+    file_in: Callable[[str], str | None] = lambda text: None
 
 
 def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
@@ -57,10 +57,12 @@ def flag(of: Field) -> str:
     return named or "--" + of.name.replace("_", "-")
 
 
-def names_file(of: Field, value: Any) -> bool:
-    """Whether `value` of the field `of` a request is the name of a file or folder."""
+def file_named(of: Field, value: Any) -> str | None:
+    """The file or folder that `value` of the field `of` a request names, None if it names none."""
     about: Option = of.metadata["option"]
-    return value is not None and (about.kind is Path or about.is_file(str(value)))
+    if value is None:
+        return None
+    return str(value) if about.kind is Path else about.file_in(str(value))
 
 
 _KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # the types that each kind of option accepts, and their name

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from .anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
 from .errors import UsageError
-from .option import checked, flag, names_file, nearest, option, options_in
+from .option import checked, file_named, flag, nearest, option, options_in
 
 if TYPE_CHECKING:
     from typing import Self
@@ -32,12 +32,17 @@ BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
 
-def _is_json(text: str) -> bool:
-    return text.lower().endswith(".json")
+def _json_file(text: str) -> str | None:
+    return text if text.lower().endswith(".json") else None
 
 
-def _is_no_word(text: str) -> bool:
-    return text not in (BUILT_IN, NOTHING)
+def _fleet_file(text: str) -> str | None:
+    """Of ``fleet.json:mini`` as well, a place where most vehicles are of one class."""
+    return _json_file(text) or _json_file(text.rpartition(":")[0])
+
+
+def _no_word(text: str) -> str | None:
+    return None if text in (BUILT_IN, NOTHING) else text
 
 
 def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> str:
@@ -68,7 +73,7 @@ class VehicleRequest:
         "Country of the vehicles, by code or name (US, DE, Japan ...), with a class where most are of one (DE:mini); "
         "'world' where it is not known; or a fleet.json. Default: the calibration's own, else the country where the "
         "input lies, else world.",
-        is_file=_is_json,
+        file_in=_fleet_file,
     )
     detections: str | Path | None = option(
         None,
@@ -120,8 +125,8 @@ class VehicleRequest:
         for each in options_in(self):
             value = getattr(self, each.name)
             for one in value if isinstance(value, tuple) else (value,):
-                if names_file(each, one):
-                    found.append(Path(one))
+                if (file := file_named(each, one)) is not None:
+                    found.append(Path(file))
         return found
 
     def with_absolute_paths(self) -> Self:
@@ -130,7 +135,7 @@ class VehicleRequest:
         def absolute(of: Field, value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(absolute(of, one) for one in value)
-            return str(Path(value).absolute()) if names_file(of, value) else value
+            return value if file_named(of, value) is None else str(Path(value).absolute())
 
         return replace(self, **{each.name: absolute(each, getattr(self, each.name)) for each in options_in(self)})
 
@@ -210,7 +215,7 @@ class EstimateRequest(VehicleRequest):
         "Input",
         "Dense cloud (.ply) or dense workspace of COLMAP, from which a model's ground is found, or 'none' for its "
         "sparse points alone. Default: one that lies beside the model.",
-        is_file=_is_no_word,
+        file_in=_no_word,
         metavar="PLY|FOLDER",
     )
     refine: bool = option(
@@ -225,7 +230,7 @@ class EstimateRequest(VehicleRequest):
         "Detector",
         "Network that measures the found vehicles again: 'built-in', 'none' or an .onnx file. Default: "
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
-        is_file=_is_no_word,
+        file_in=_no_word,
         metavar="NAME",
     )
     fast: bool = option(
@@ -319,7 +324,7 @@ class EstimateRequest(VehicleRequest):
         str,
         "Evidence",
         "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of them. Repeatable.",
-        is_file=_is_json,
+        file_in=_json_file,
         metavar="KIND=M",
     )
     alone: bool = True

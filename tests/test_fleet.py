@@ -227,6 +227,7 @@ def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path
     mini, compact = load_fleet(path).classes
     assert (mini.name, compact.name) == ("mini", "compact") and mini.weight == pytest.approx(0.3)
     assert 0.3 * mini.mean + 0.7 * compact.mean == pytest.approx([4.2, 1.75, 1.5])
+    assert load_fleet(f"{path}:mini").classes[0].weight == pytest.approx(0.7)
     entry["shares"]["rickshaw"] = 5
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="rickshaw"):

@@ -400,3 +400,6 @@ def test_inputs_are_the_files_that_options_name_and_no_words():
     )
     assert files.inputs == [Path(name) for name in ("DE.json", "boxes.txt", "dense", "mine.JSON")]
     assert FixRequest(images="frames", against=Path("map")).inputs == [Path("frames"), Path("map")]
+    of_a_class = FixRequest(fleet="own/DE.json:mini")
+    assert of_a_class.inputs == [Path("own/DE.json")] and FixRequest(fleet="DE:mini").inputs == []
+    assert of_a_class.with_absolute_paths().fleet == str(Path("own/DE.json:mini").absolute())
