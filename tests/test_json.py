@@ -21,7 +21,7 @@ from orthoscale.formats.detections.own import load_detections
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.layout import catalogue
 from orthoscale.layout.ground import _polygons
-from orthoscale.report.document import read_json
+from orthoscale.report.stored import read_json
 from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.lens import read_calibration
 from orthoscale.sources.scaling import scale_path

@@ -32,10 +32,10 @@ from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.csv_table import write_csv
 from orthoscale.formats.names import json_in_utf8
 from orthoscale.formats.vector import write_layer
-from orthoscale.report.document import pixel_size
 from orthoscale.report.extras import write_tiles
 from orthoscale.report.geo import outlines, table
 from orthoscale.report.pictures import REJECTED_RGB, USED_RGB
+from orthoscale.report.stored import pixel_size
 from orthoscale.requests import EstimateRequest
 from orthoscale.sources.raster import RasterSource
 

@@ -32,11 +32,11 @@ from orthoscale.formats.lettering import HALO, in_ascii, write_on
 from orthoscale.formats.schemas.report import Report, ReportInput
 from orthoscale.report import charts, files, pictures, places, wording
 from orthoscale.report.charts import strength
-from orthoscale.report.document import OPTIONAL, of_plan, read_json
 from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
+from orthoscale.report.stored import OPTIONAL, of_plan, read_json
 from orthoscale.report.terminal import show
 from orthoscale.requests import EstimateRequest, FixRequest, command_line
 from orthoscale.sources.opening import open_source

@@ -15,10 +15,10 @@ from support.reports import GSD, car_park, fixed
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.vehicles import vehicle_table
 from orthoscale.core.votes import Sightings, gather
-from orthoscale.report.document import read_json
 from orthoscale.report.page import page
 from orthoscale.report.result import Result
 from orthoscale.report.scene import ReportPictures
+from orthoscale.report.stored import read_json
 from orthoscale.sources.colmap import ColmapSource
 
 

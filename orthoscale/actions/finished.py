@@ -11,8 +11,9 @@ from typing import Any
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..option import flag, options_in
-from ..report.document import completed, is_other_copy, read_json, replaced_inputs
 from ..report.extras import chosen
+from ..report.inputs import is_other_copy, replaced_inputs
+from ..report.stored import completed, read_json
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import ELSEWHERE, REPLACE
 from ..system.signatures import ours, was_changed

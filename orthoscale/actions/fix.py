@@ -13,10 +13,11 @@ from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, InputError, MetricAlready, UsageError
 from ..formats.detections import check_name
 from ..formats.pictures import PICTURES
-from ..report.document import is_other_copy, read_json
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
+from ..report.inputs import is_other_copy
 from ..report.result import Result
+from ..report.stored import read_json
 from ..requests import FixRequest
 from ..sources.fingerprint import glance
 from ..sources.opening import AN_INPUT

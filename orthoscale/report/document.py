@@ -1,11 +1,8 @@
-"""The report as one JSON document, from which (with the pictures) the page and the picture of a report are drawn."""
+"""The report as one document of plain values, from which (with the pictures) its page and its picture are drawn."""
 
 from __future__ import annotations
 
-import math
-import os
 import platform
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from importlib import metadata
@@ -22,65 +19,13 @@ from ..core.measuring.drift import Drift
 from ..core.measuring.judgement import judgements
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
-from ..core.remarks import CAUTION, INFO
-from ..core.scale import PER_PIXEL, Scale
-from ..core.source import FilePicture, Source
+from ..core.scale import Scale
 from ..core.verdicts import FIT
-from ..errors import InputError, shown
-from ..formats.names import each_text, first_few, json_in_utf8, out_of_utf8
-from ..formats.reading import LARGE, checked, read_plain
-from ..sources.fingerprint import glance
-from ..system.paths import absolute
 from ..version import __version__
 from .anchors import entries
+from .inputs import frames_of, other_files
 from .measured import MeasuredSource
-
-FORMAT = "orthoscale report 2"
-# In it remarks were bare sentences, `notes` listed those that only inform, and there were no judgements.
-FIRST_FORMAT = "orthoscale report 1"
-
-ORTHOPHOTO, RECONSTRUCTION = "orthophoto", "reconstruction"  # kinds of inputs
-
-# Parts that a report may lack (an orthophoto has no frames, few views show no trend, an older version wrote less), by
-# their place in the document, and their defaults, which are those of `formats.schemas.report.Report` for what that
-# checks. Everything else is in every report.
-OPTIONAL: dict[tuple[str, ...], Any] = {
-    ("fleets",): {},
-    ("fleet_source",): "",
-    ("evidence",): [],
-    ("anchors",): [],
-    ("without_anchors",): None,
-    ("remarks",): [],
-    ("judgements",): [],
-    ("sweep",): None,
-    ("zoom_search",): None,
-    ("claim",): None,
-    ("agreement",): None,
-    ("modes",): {},
-    ("modes", "oblique"): None,
-    ("modes", "planar"): None,
-    ("drift",): None,
-    ("drift", "cells"): [],
-    ("drift", "frames"): {},
-    ("drift", "odd_frames"): [],
-    ("drift", "regions"): [],
-    ("drift", "trend"): None,
-    ("drift", "drifts"): None,
-    ("calibration",): None,
-    ("calibration", "views"): 0,
-    ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
-    ("calibration", "trends"): None,
-    ("input", "folder"): "",
-    ("input", "kind"): "",
-    ("frame_bytes",): {},
-    ("frame_crc32",): {},
-    ("other_files",): {},
-    ("copy",): None,
-    ("pixel_aspect",): 1.0,
-    ("versions",): {},
-    ("created",): "",
-    ("seconds",): 0.0,
-}
+from .stored import FORMAT, ORTHOPHOTO, RECONSTRUCTION
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
 
@@ -95,7 +40,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
     measured, source, fleet, remarks = of.measured, of.source, of.fleet, of.remarks
     scale = measured.scale
     plan = source.from_above(measured.votes.place) * scale.value
-    frames = _frames(source)
+    frames = frames_of(source)
     claim = own_claim(source, scale)
     return {
         "format": FORMAT,
@@ -137,7 +82,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "frame_bytes": {name: size for name, (size, _) in frames.items()},
         "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
-        "other_files": _other_files(source, of.given),
+        "other_files": other_files(source, of.given),
         "copy": None if of.copied is None else [*of.copied],
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
@@ -145,24 +90,6 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "seconds": round(of.seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }
-
-
-def _frames(source: Source) -> dict[str, tuple[int, int]]:
-    """What tells each frame of a reconstruction, which its hash does not cover, from another: see `glance`. Raises
-    InputError."""
-    files = () if source.posed is None else (p for p in source.pictures if isinstance(p, FilePicture))
-    return {picture.name: glance(picture.path) for picture in files}
-
-
-def _other_files(source: Source, given: Sequence[Path]) -> dict[str, list[int]]:
-    """What tells others of the same name, see `glance`, from the files besides `source` that its report is of: the
-    parts of a VRT and whatever else an orthophoto is read with, and those `given` by options. Names start from the
-    source's folder, if that is on the same drive. Raises InputError."""
-    own, home = absolute(source.path), absolute(source.path).parent
-    files = [absolute(path) for path in (*(source.files if source.plan is not None else ()), *given)]
-    # GIS programs write statistics into .aux.xml.
-    others = [path for path in files if path != own and path.is_file() and not path.name.endswith(".aux.xml")]
-    return {os.path.relpath(p, home) if p.drive == home.drive else str(p): [*glance(p)] for p in others}
 
 
 def _of_detection(found: Detections) -> dict[str, Any]:
@@ -301,91 +228,6 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         },
         "drifts": drift.drifts,
     }
-
-
-def replaced_inputs(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
-    """Says which frames of `source`, or else which other files, see `_other_files`, are not those that its `report` was
-    made of; '' if all are. Raises InputError."""
-    sizes, crcs = report.get("frame_bytes") or {}, report.get("frame_crc32") or {}  # not in reports of older versions
-    frames = [
-        name
-        for name, (size, crc) in _frames(source).items()
-        if sizes.get(name, size) != size or crcs.get(name, crc) != crc
-    ]
-    if frames:
-        return f"frames have changed since: {first_few(frames)}"
-    known = report.get("other_files") or {}  # not in reports of older versions
-    files = [name for name, now in _other_files(source, given).items() if known.get(name, now) != now]
-    return f"files have changed since: {first_few(files)}" if files else ""
-
-
-def is_other_copy(report: Mapping[str, Any], out: Path) -> bool:
-    """Whether the orthophoto's copy at `out` is not as it was when its `report` was written. Raises InputError."""
-    return report.get("copy") is not None and out.is_file() and [*glance(out)] != report["copy"]
-
-
-def of_plan(report: Mapping[str, Any]) -> bool:
-    """Whether the report is of an orthophoto, not of a reconstruction. In older reports only the unit tells."""
-    kind = report["input"].get("kind")
-    return kind == ORTHOPHOTO if kind else report["unit"] == PER_PIXEL
-
-
-def pixel_size(report: Mapping[str, Any]) -> tuple[float, float]:
-    """Width and height of an orthophoto's pixel on the ground [m]; the scale is the side of a square of equal area."""
-    wide = math.sqrt(report["pixel_aspect"])
-    return report["scale"] * wide, report["scale"] / wide
-
-
-def upgraded(report: Any) -> Any:
-    """`report` converted from the first format to this one; anything else as it is.
-
-    The judgements that it lacks are not added: only the code that measures can judge.
-    """
-    if (
-        not isinstance(report, dict)
-        or report.get("format") != FIRST_FORMAT
-        or not isinstance(report.get("remarks"), list)
-    ):
-        return report
-    notes = report.get("notes") or []
-    remarks = [{"severity": INFO if text in notes else CAUTION, "text": text} for text in report["remarks"]]
-    return {**report, "format": FORMAT, "fit": FIT.get(report.get("verdict", ""), ""), "remarks": remarks}
-
-
-def completed(report: Mapping[str, Any]) -> dict[str, Any]:
-    """`report` with the defaults of OPTIONAL for parts that are absent or null, so that readers need not check."""
-    full = dict(report)
-    for (*above, name), default in OPTIONAL.items():
-        part: Any = full
-        for key in above:
-            part = part[key]
-        if not isinstance(part, dict):
-            continue  # the whole part is absent
-        if part.get(name) is None:
-            part[name] = default
-        if isinstance(part[name], Mapping):
-            part[name] = dict(part[name])  # a copy, so that defaults are not added to the caller's report
-    return full
-
-
-def write_json(report: Mapping[str, Any], path: Path) -> None:
-    """Write the report as UTF-8 to `path`, from where the caller moves it into place; `in_utf8` escapes names that are
-    not UTF-8. Raises OSError."""
-    path.write_text(json_in_utf8(report, indent=1) + "\n", encoding="utf-8")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a report that `write_json` wrote, its escaped names restored. Raises InputError for anything else."""
-    from ..formats.schemas.report import Report
-
-    hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
-    report = upgraded(read_plain(path, "a report", hint, LARGE))
-    found = report.get("format") if isinstance(report, dict) else None
-    if found != FORMAT:
-        told = f"format {shown(str(found))!r}" if found else "no format"
-        raise InputError(f"{path}: a report of another version ({told}, expected {FORMAT!r})", hint)
-    checked(report, Report, str(path), "a report", hint)
-    return each_text(report, out_of_utf8)
 
 
 def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:

@@ -14,11 +14,12 @@ from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs
 from ..system.signatures import ours_in_a_folder
-from .document import of_plan, read_json, replaced_inputs, write_json
+from .inputs import replaced_inputs
 from .page import page
 from .pictures import draw
 from .result import Result
 from .scene import ReportPictures
+from .stored import of_plan, read_json, write_json
 
 DRAWN_AS = (".html", ".htm", ".png")
 Attempt = Callable[[Path, str], AbstractContextManager[None]]

@@ -16,9 +16,9 @@ from ..formats.pictures import jpeg
 from ..requests import command_line
 from ..system.paths import title_of
 from . import charts, places, wording
-from .document import completed
 from .explanation import explain
 from .scene import Panel, ReportPictures
+from .stored import completed
 from .wording import relative
 
 if TYPE_CHECKING:

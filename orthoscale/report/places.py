@@ -8,7 +8,7 @@ from math import exp, expm1, log
 from typing import Any
 
 from ..core.normal import Z90
-from .document import pixel_size
+from .stored import pixel_size
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
-from .document import completed, of_plan, pixel_size
+from .stored import completed, of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # used and rejected vehicles that are shown one by one, as chips

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from ..formats.schemas.report import Report
-from .document import FORMAT
+from .stored import FORMAT
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 

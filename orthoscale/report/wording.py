@@ -9,7 +9,7 @@ from typing import Any
 from ..core.boxes import KINDS
 from ..core.remarks import signed
 from ..core.scale import decimals, interval_about
-from .document import of_plan
+from .stored import of_plan
 
 FLEETS_NAMED = 5  # number of likely fleets that are named
 EXAMPLE_LENGTH = 10.0  # [m] in the copy, of which it is told what it may be on the ground
