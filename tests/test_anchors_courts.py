@@ -298,7 +298,7 @@ def test_an_odd_picture_has_no_court(picture, gsd):
 @pytest.mark.parametrize("place", [(-90.0, 60.0), (60.0, 230.0)])
 def test_a_court_beyond_the_picture_is_none(place, monkeypatch):
     """And nothing is sampled there: of an empty picture OpenCV returns whatever lies in memory."""
-    monkeypatch.setattr("orthoscale.anchors.court_fit._measure", lambda *_: pytest.fail("sampled"))
+    monkeypatch.setattr("orthoscale.anchors.court_fit.measure", lambda *_: pytest.fail("sampled"))
     grey = np.full((120, 120), 90, np.float32)
     assert fit_court(grey, grey, TENNIS_COURT, np.array(place), 0.0, 1 / 0.3) is None
 
