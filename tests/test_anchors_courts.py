@@ -275,7 +275,7 @@ def test_a_long_line_alone_speaks_for_no_centre_circle():
     """The spine of two rows of bays, whose strokes lie on some of a circle: as in a real car park."""
     seen = np.array([1.0, 0.4])
     lit = float(np.average(seen, weights=[stroke.length for stroke in CENTRE_CIRCLE.strokes]))
-    fit = CourtFit(CENTRE_CIRCLE, np.zeros(2), 0.0, 3.0, 3.0, 0.01, 0.01, np.zeros(20), lit, seen, 0.0, 0.2, 9.0)
+    fit = CourtFit(CENTRE_CIRCLE, np.zeros(2), 0.0, 3.0, 3.0, 0.01, 0.01, np.zeros(20), lit, seen, 0.0, 0.2)
     assert lit > 0.6 and evidence(fit) < FOOTBALL.even
     assert evidence(replace(fit, seen=np.array([1.0, 0.9]), lit=0.95)) > FOOTBALL.even
 

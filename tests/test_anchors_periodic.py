@@ -314,7 +314,7 @@ def test_no_near_pair_of_strokes_is_missed(turn, astray):
     n, reach = 1200, 90.0
     heading = np.where(np.arange(n) % 4, rng.uniform(-np.pi, np.pi, n), rng.integers(-36, 36, n) * np.pi / 36)
     along = np.stack([np.cos(heading), np.sin(heading)], -1)
-    strokes = Strokes(rng.uniform(0, 300, (n, 2)), along, np.ones(n), np.ones(n))
+    strokes = Strokes(rng.uniform(0, 300, (n, 2)), along, np.ones(n))
     apart = strokes.centre[None] - strokes.centre[:, None]
     distance = np.linalg.norm(apart, axis=-1)
     off = np.abs(apart[..., 0] * along[:, None, 1] - apart[..., 1] * along[:, None, 0])

@@ -41,8 +41,7 @@ class CourtFit:
     residual : (M,) distances of the ridges found from their strokes, across these [px]. lit : share of the painted
     length that lies on ridges. seen : (S,) that share of each stroke. marred : share of the blank places that ridges
     cross.
-    scatter : root mean square of `residual`, as a share of its limit; 0.58 for ridges at random places.
-    contrast : of the paint, in units of the noise."""
+    scatter : root mean square of `residual`, as a share of its limit; 0.58 for ridges at random places."""
 
     court: Court
     place: np.ndarray
@@ -56,7 +55,6 @@ class CourtFit:
     seen: np.ndarray
     marred: float
     scatter: float
-    contrast: float
 
     def points(self, metres: np.ndarray) -> np.ndarray:
         """(..., 2) [px] of points (..., 2) of the court [m]."""
@@ -193,5 +191,5 @@ def _judged(light: np.ndarray, cut: Cut, pose: np.ndarray, corner: np.ndarray, s
     return CourtFit(
         court,
         corner + pose[:2], float(pose[2]), float(pose[3]), float(pose[4]), float(sds[0]), float(sds[1]),
-        offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, scatter, typical / noise,
+        offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, scatter,
     )  # fmt: skip

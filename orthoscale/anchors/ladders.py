@@ -102,7 +102,7 @@ def doubled(strokes: Strokes, least: float, most: float) -> Strokes:
     along = one.along + np.sign((one.along * other.along).sum(1))[:, None] * other.along
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     middle = (one.centre + other.centre) / 2
-    return Strokes(middle, along, (one.length + other.length) / 2, (one.strength + other.strength) / 2, across[kept])
+    return Strokes(middle, along, (one.length + other.length) / 2, across[kept])
 
 
 def _pair(

@@ -61,13 +61,10 @@ def ridge_noise(response: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight bright pieces. middle : (N, 2) [px]. angle : (N,) [rad] from +x, clockwise on screen, 0 to pi.
-    length : (N,) [px]. strength : (N,) mean ridge, 1 for a clear one."""
+    """Straight bright pieces. middle : (N, 2) [px]. angle : (N,) [rad] from +x, clockwise on screen, 0 to pi."""
 
     middle: np.ndarray
     angle: np.ndarray
-    length: np.ndarray
-    strength: np.ndarray
 
 
 def _sums(ridge: np.ndarray) -> np.ndarray:
@@ -115,15 +112,14 @@ def segments(maps: np.ndarray, least: float) -> Segments:
                 for j in range(-3, 4):
                     other = padded[strip, slope + 2 + i, start + 3 + j]
                     top &= (value > other) if (i, j) > (0, 0) else (value >= other)
-            strip, slope, start, value = strip[top], slope[top], start[top], value[top]
+            strip, slope, start = strip[top], slope[top], start[top]
             x0, x1 = start - SEED_PX, start - SEED_PX + slope
             if mirrored:
                 x0, x1 = width - 1 - x0, width - 1 - x1
             y0 = strip * (SEED_PX // 2)
             ends = np.stack([x0, y0, x1, y0 + SEED_PX - 1], 1).astype(float)
             ends = ends[:, [1, 0, 3, 2]] if turned else ends
-            found.append(np.column_stack([ends, value / (CLEAR_RIDGE * SEED_PX)]))
-    all_ = np.concatenate(found)
-    step = all_[:, 2:4] - all_[:, :2]
-    angle = np.arctan2(step[:, 1], step[:, 0]) % np.pi
-    return Segments((all_[:, :2] + all_[:, 2:4]) / 2, angle, np.hypot(*step.T), all_[:, 4])
+            found.append(ends)
+    every = np.concatenate(found)
+    step = every[:, 2:] - every[:, :2]
+    return Segments((every[:, :2] + every[:, 2:]) / 2, np.arctan2(step[:, 1], step[:, 0]) % np.pi)

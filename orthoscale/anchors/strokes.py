@@ -33,13 +33,12 @@ STROKE_SURROUNDINGS = 30.0  # [sigmas of the filter] half width of the window fo
 
 @dataclass(frozen=True)
 class Strokes:
-    """(N,) strokes. centre : (N, 2) [px]. along : (N, 2) unit vector. length : from end to end [px]. strength : mean
-    curvature across [grey levels]. apart : of double ones, from one line to the other [px]; None for single ones."""
+    """(N,) strokes. centre : (N, 2) [px]. along : (N, 2) unit vector. length : from end to end [px]. apart : of double
+    ones, from one line to the other [px]; None for single ones."""
 
     centre: np.ndarray
     along: np.ndarray
     length: np.ndarray
-    strength: np.ndarray
     apart: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -47,7 +46,7 @@ class Strokes:
 
     def __getitem__(self, which: np.ndarray) -> Strokes:
         apart = None if self.apart is None else self.apart[which]
-        return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which], apart)
+        return Strokes(self.centre[which], self.along[which], self.length[which], apart)
 
 
 def near_pairs(
@@ -113,17 +112,17 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
         points = points[(points[:, 1] >= top - low) & (points[:, 1] < end - low)]
         points[:, [1, 3]] += low
         parts.append(points)
-    rows = np.concatenate(parts) if parts else np.zeros((0, 7))
+    rows = np.concatenate(parts) if parts else np.zeros((0, 6))
     if len(rows) < 2:
-        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     x, y = rows[:, :2].astype(int).T
     member = _joined(light.shape, y, x, rows[:, 4:6])
-    return _straight(rows[:, 2:4], member, rows[:, 6], shortest, BENT_PX + BENT_WIDE * sigma)
+    return _straight(rows[:, 2:4], member, shortest, BENT_PX + BENT_WIDE * sigma)
 
 
 def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
-    """(P, 7) ridge points of `light` (H, W), row by row: pixel (x, y), the ridge's place there (x, y) [px], the unit
-    vector along it (x, y), and its strength [grey levels]."""
+    """(P, 6) ridge points of `light` (H, W), row by row: pixel (x, y), the ridge's place there (x, y) [px], and the
+    unit vector along it (x, y)."""
     gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
     # The most negative eigenvalue of the Hessian. One pixel in ten is curved as a ridge; only there are the direction
     # across the ridge and the ridge's place computed.
@@ -138,7 +137,7 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
     nx, ny = np.cos(turn), np.sin(turn)
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
     y, x = np.divmod(at, light.shape[1])
-    points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx, -least * sigma**2])
+    points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx])
     return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= OFF_PIXEL]
 
 
@@ -178,7 +177,7 @@ def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarr
     return linked(i, j, len(x))
 
 
-def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float, bent: float) -> Strokes:
+def _straight(point: np.ndarray, member: np.ndarray, shortest: float, bent: float) -> Strokes:
     """Lines through the points of each group that is long and straight enough.
 
     It is done twice, as the ridge of a wide bar spreads sideways at its ends: points off the first line are left out of
@@ -187,7 +186,7 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
     size = np.bincount(member)
     kept = size[member] >= STROKE_POINTS * shortest
     for _ in range(2):
-        point, strength = point[kept], strength[kept]
+        point = point[kept]
         number = np.unique(member[kept], return_inverse=True)[1]
         member = number
         n = np.bincount(number)
@@ -204,6 +203,5 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
     np.minimum.at(first, number, t)
     np.maximum.at(last, number, t)
     centre = centre + along * ((first + last) / 2)[:, None]
-    mean = np.bincount(number, strength) / n
     good = (last - first >= shortest) & (across < bent**2) & (n > STROKE_FILLED * (last - first))
-    return Strokes(centre, along, last - first, mean)[good]
+    return Strokes(centre, along, last - first)[good]
