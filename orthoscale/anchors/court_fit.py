@@ -23,6 +23,7 @@ FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
 MARRING = 0.5  # with this share it contradicts a blank
 FEWEST_PIECES = 12  # number of pieces on ridges that a fit needs
 HOPELESS = 0.45  # least share of pieces on ridges after the first round: with less the fit is given up
+FEWEST_HITS = 9  # number of pieces on ridges from which a fit's scatter is known
 LEAST_SD = 0.01  # [m] least scatter of the ridges about a fit
 # Parts of a pose: place along and across [m], angle [rad], pixels per metre along and across [ln].
 PRIOR_SD = np.array([5, 5, 0.5, 0.1, 0.1])  # one sigma by which a round may change them ...
@@ -182,7 +183,7 @@ def _judged(light: np.ndarray, cut: Cut, pose: np.ndarray, corner: np.ndarray, s
     marring = max(CLEAR_NOISES * noise, MARRING * typical)
     marred = float((across > marring)[empty.inside].mean()) if empty.inside.any() else 1.0
     sds, scatter = np.ones(2), 1.0
-    if hit.sum() > 8:
+    if hit.sum() >= FEWEST_HITS:
         left = offset[hit] / size
         by = cut.rows[hit]
         covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)

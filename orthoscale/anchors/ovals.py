@@ -44,8 +44,13 @@ OVAL_SAMPLES = 240  # points along an oval
 SEEN_OVAL = 0.45  # least share of the oval on edges that run along it, before the fit ...
 FITTED_OVAL = 0.7  # ... and after, close to it
 ALONG_EDGE = 0.9  # least cosine of the angle between an edge's normal and the oval's
-WINDOWS_OVAL = (4.0, 2.0, 1.0, 0.8)  # [m] about the oval where its edge is looked for, round by round
+WINDOWS_OVAL = (4.0, 2.0, 1.0, 0.8)  # [m] about the oval where its edge is looked for, round by round ...
+LEAST_WINDOW_OVAL = 1.5  # [px] ... but never closer than this
+CLOSE_TO_OVAL, CLOSE_TO_OVAL_PX = 0.5, 1.0  # [m] and [px]: the oval is seen where an edge is this close to it
+EDGE_SPREAD_PX = 0.1  # [px] least one sigma about a fit by which its outliers are judged
 BAND = 3.6, 12.5  # [m] width of the lanes: 3 to 10
+OFF_EDGE = 1.0  # [m] from the inner edge to where colours inside and of the lanes are sampled
+BAND_COLOUR = 0.5, 2.0  # of the step from the colour inside to that of the lanes: limits of what counts as lanes
 BAND_EVEN = 0.5  # of the step at the inner edge: most that colours may scatter within the lanes, one sigma
 EDGE_STEP = 10.0  # [grey levels] least step at the inner edge, median over the oval
 
@@ -172,7 +177,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
     its length by these; None where there is no edge with the same change of colour nearly all round."""
     light = image.astype(np.float32)
     for window in WINDOWS_OVAL:
-        reach = max(window / gsd, 1.5)
+        reach = max(window / gsd, LEAST_WINDOW_OVAL)
         edges = _edges(light, oval, reach)
         if edges is None:
             return None
@@ -185,7 +190,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
         if not (oval.straight > 0 and oval.radius > 5):
             return None
     off = peak - by @ change
-    close = np.abs(off) < max(0.5 / gsd, 1.0)
+    close = np.abs(off) < max(CLOSE_TO_OVAL / gsd, CLOSE_TO_OVAL_PX)
     if close.mean() < FITTED_OVAL:
         return None
     covariance = np.linalg.pinv(by[close].T @ by[close]) * float((off[close] ** 2).mean())
@@ -239,7 +244,7 @@ def _solve(by: np.ndarray, peak: np.ndarray, weight: np.ndarray, reach: float) -
         robust = np.clip(1 - (off / (3 * scale)) ** 2, 0, None) ** 2 * weight
         change = np.linalg.lstsq(by * np.sqrt(robust)[:, None], peak * np.sqrt(robust), rcond=None)[0]
         off = peak - by @ change
-        scale = float(np.clip(ROBUST_SD * np.median(np.abs(off)), 0.1, reach / 2))
+        scale = float(np.clip(ROBUST_SD * np.median(np.abs(off)), EDGE_SPREAD_PX, reach / 2))
     return change
 
 
@@ -248,15 +253,15 @@ def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:
     offset = np.arange(-3.0, BAND[1] + 3.0, 0.25)  # [m]
     place, normal, _ = oval.points(OVAL_SAMPLES)
     seen = np.median(values(image, place[:, None] + offset[:, None] / gsd * normal[:, None]), axis=0)
-    inside, lanes = np.median(seen[(offset < -1)], axis=0), np.median(seen[(offset > 1) & (offset < BAND[0])], axis=0)
+    out = offset > OFF_EDGE
+    inside, lanes = np.median(seen[offset < -OFF_EDGE], axis=0), np.median(seen[out & (offset < BAND[0])], axis=0)
     step = lanes - inside
     size = float(np.linalg.norm(step))
     if size < EDGE_STEP:
         return False
     # 0 for the colour inside, 1 for the lanes' colour
     share = (seen - inside) @ step / size**2
-    out = offset > 1
-    end = np.flatnonzero(out & ((share < 0.5) | (share > 2.0)))
+    end = np.flatnonzero(out & ((share < BAND_COLOUR[0]) | (share > BAND_COLOUR[1])))
     width = float(offset[end[0]]) if len(end) else np.inf
-    even = np.std(share[(offset > 1) & (offset < min(width - 1, BAND[1]))]) < BAND_EVEN
+    even = np.std(share[out & (offset < min(width - OFF_EDGE, BAND[1]))]) < BAND_EVEN
     return bool(even) and BAND[0] < width < BAND[1]

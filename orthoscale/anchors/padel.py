@@ -34,6 +34,7 @@ HALF_LENGTH, HALF_WIDTH = 10.0, 5.0  # [m] to the inside of the walls
 FEWEST_WALLS = 3  # of four that must be seen: neighbours may share one
 WALL_OFF, WALL_OFF_PX = 0.25, 0.6  # [m] and [px] by which a border may lie off its wall
 WALL_INSIDE, WALL_OUTSIDE = 1.5, 1.0  # [m] from the wall, between which the border is searched
+WALL_ACROSS, WALL_ACROSS_PX = 0.05, 0.3  # [m] and [px] between samples across a wall
 WALL_CORNER = 1.0  # [m] of each wall's ends that are left out
 WALL_SEEN = 0.7  # least share of a wall with the border where it must be
 WALL_TOGETHER = 5  # steps along a wall that are averaged against noise
@@ -113,7 +114,7 @@ def _border(shares: np.ndarray, fit: CourtFit, turf: np.ndarray, side: int) -> f
     """How much the colour changes where the turf ends at one of the four walls; 0 where it does not end there."""
     length, wall = (HALF_WIDTH, HALF_LENGTH) if side % 2 else (HALF_LENGTH, HALF_WIDTH)
     along = np.arange(-length + WALL_CORNER, length - WALL_CORNER + 0.01, WALL_STEP)
-    out = np.arange(-WALL_INSIDE, WALL_OUTSIDE, max(0.05, 0.3 / fit.along))
+    out = np.arange(-WALL_INSIDE, WALL_OUTSIDE, max(WALL_ACROSS, WALL_ACROSS_PX / fit.along))
     u, v = np.meshgrid(along, wall + out, indexing="ij")
     metres = np.stack([v, u] if side % 2 else [u, v], -1) * (1 if side < 2 else -1)
     place = fit.points(metres)
