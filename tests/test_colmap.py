@@ -369,7 +369,7 @@ def test_a_way_up_leads_out_of_the_folder_behind_a_link(plain, tmp_path):
     assert len(source.pictures) == 12 and source.content_hash()
     (tmp_path / "metric").mkdir()
     source.write(tmp_path / "metric", 2.0)
-    assert ColmapSource.open(tmp_path / "metric", need_images=False).scaled_already
+    assert ColmapSource.open(tmp_path / "metric", need_images=False).by_orthoscale
 
 
 def renamed(plain, folder, form, change):

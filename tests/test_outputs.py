@@ -239,8 +239,9 @@ def test_the_copy_says_how_well_its_scale_is_known(everything, boxes):
 def test_that_a_copy_agrees_with_its_own_scale_is_no_confirmation(everything, boxes):
     """`check` said that it agrees, at 0.0 sigma, and nothing else where the copy kept its place."""
     copy = everything[0] / "out.tif"
-    said = [r.text for r in orthoscale.check(copy, detections=boxes, fleet="DE").result.remarks]
-    assert any("agreement with vehicles does not confirm" in text for text in said)
+    result = orthoscale.check(copy, detections=boxes, fleet="DE").result
+    assert result.source.by_orthoscale and not everything[1].source.by_orthoscale
+    assert any("agreement with vehicles does not confirm" in remark.text for remark in result.remarks)
     (row,) = run_many("check", [copy], EstimateRequest(detections=boxes, fleet="DE"))
     assert row["claim"] == OF_A_COPY, "many inputs have a table, and no remarks"
     said = [r.text for r in everything[1].remarks]

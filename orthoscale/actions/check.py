@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import NO_PROOF, NOT_TOLD, Comparison, by_orthoscale, metric_claim, own_claim
+from ..core.claims import NO_PROOF, NOT_TOLD, Comparison, metric_claim, own_claim
 from ..core.remarks import INFO, Remark
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
@@ -87,7 +87,7 @@ def checked(
     require_claim(source)
     result = measured(source, request, progress, on_boxes)
     found = comparisons(result)
-    if source.posed is not None and by_orthoscale(source):  # an orthophoto's metadata say so
+    if source.posed is not None and source.by_orthoscale:  # an orthophoto's metadata say so
         scale = result.scale.remarked(Remark(INFO, NO_PROOF))
         result = replace(result, measured=replace(result.measured, scale=scale))
     if source.posed is not None and not found and not source.metric_already:

@@ -20,7 +20,7 @@ METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 # positions of a single receiver are metric within some per cent. If arbitrary units are spread evenly over two decades,
 # one model in twenty-three has such a unit by chance. A judgement.
 NEARLY_METRIC = 0.1
-BY_ORTHOSCALE = "orthoscale wrote it"  # begins what a model says that counts as metric because it is a copy by `fix`
+BY_ORTHOSCALE = "orthoscale wrote it"  # why a copy of a model by `fix` counts as metric
 NO_PROOF = "orthoscale gave it its scale: agreement with vehicles does not confirm it"
 OF_A_COPY = "agrees (orthoscale gave it)"  # verdict on such a claim, where there is no room for that sentence
 NOT_TOLD = "nothing says that its coordinates are metres"  # of a reconstruction
@@ -196,14 +196,9 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
     return (Remark(INFO, text),)
 
 
-def by_orthoscale(source: Source) -> bool:
-    """Whether `source` says that orthoscale gave it its scale."""
-    return source.metric_already.startswith(BY_ORTHOSCALE) or any(NO_PROOF in note.text for note in source.notes)
-
-
 def verdict_on(source: Source, verdict: str) -> str:
     """The `verdict` of a `Comparison` on the claim of `source`, which says so where agreement proves nothing."""
-    return OF_A_COPY if verdict == "agrees" and by_orthoscale(source) else verdict
+    return OF_A_COPY if verdict == "agrees" and source.by_orthoscale else verdict
 
 
 def _nearly_metric(scale: Scale) -> bool:

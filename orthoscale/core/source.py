@@ -116,13 +116,16 @@ class Measurable(Pictures, Protocol):
     """What both kinds of source offer.
 
     unit : what its scale is measured in, "m/px", "m/model-unit" ...
-    metric_already : why the source counts as metric already, as a sentence; empty if it does not.
+    metric_already : why the source counts as metric already, as a sentence; empty if it does not. by_orthoscale :
+    whether it says that orthoscale gave it its scale.
     """
 
     @property
     def unit(self) -> str: ...
     @property
     def metric_already(self) -> str: ...
+    @property
+    def by_orthoscale(self) -> bool: ...
     @property
     def files(self) -> Sequence[Path]:
         """The files that it was read from, except its pictures; none of them is ever written to."""

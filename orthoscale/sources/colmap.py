@@ -230,15 +230,15 @@ class ColmapSource:
         return Located(there, read_sd, there - self.centre(name))
 
     @property
-    def scaled_already(self) -> str:
-        """Says that orthoscale wrote this model, whose folder then has a file of ours; empty if it did not."""
-        return f"{BY_ORTHOSCALE}: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
+    def by_orthoscale(self) -> bool:
+        """Whether orthoscale wrote this model, whose folder then has a file of ours."""
+        return (self.folder / SCALED_MARK).is_file()
 
     @property
     def metric_already(self) -> str:
         """Why this model counts as metric, empty if it does not: orthoscale wrote it, its coordinates are those of a
         map, or the GPS positions of its frames are its cameras' own."""
-        return self.scaled_already or self._georeferenced
+        return f"{BY_ORTHOSCALE}: {SCALED_MARK} lies in it" if self.by_orthoscale else self._georeferenced
 
     @cached_property
     def _from_origin(self) -> FromOrigin:
@@ -399,8 +399,8 @@ def scale_model(
     is in metres already, and for another model, whose cameras of the same names stand elsewhere.
     """
     model = ColmapSource.open(source, need_images=False)
-    if model.scaled_already:
-        raise UsageError(f"{source} is in metres already: {model.scaled_already}", "Apply it to the original model.")
+    if model.by_orthoscale:
+        raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
     refuse_another(source, model._cameras, metric, scale)
     model.write(target, scale)
 

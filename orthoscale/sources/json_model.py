@@ -72,14 +72,20 @@ class ExchangeSource(OneFileSource):
         return cls(path, *found, images, need_images, _stamps=stamps)
 
     @property
+    def by_orthoscale(self) -> bool:
+        """Whether orthoscale wrote it, and left its mark in it."""
+        text = read_poses(self.path)
+        return MARK in (text if isinstance(text, dict) else _largest(self.path, text)[0])
+
+    @property
     def metric_already(self) -> str:
         """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or as for any model; or empty."""
+        if self.by_orthoscale:
+            return BY_ORTHOSCALE
         text = read_poses(self.path)
         if isinstance(text, dict):
-            return BY_ORTHOSCALE if MARK in text else self._georeferenced
+            return self._georeferenced
         part, _ = _largest(self.path, text)
-        if MARK in part:
-            return BY_ORTHOSCALE
         placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
         aligned = "reference_lla" in part and len(placed) >= 3
         return "OpenSfM aligned it with the GPS of its images" if aligned else self._georeferenced

@@ -32,7 +32,7 @@ from .fingerprint import Stamp, another, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, files_of, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
-from .raster_copy import Original
+from .raster_copy import SCALE_TAG, Original
 from .raster_display import EXPORT_BITS, Display
 from .raster_notes import of_copy, of_image
 
@@ -61,6 +61,7 @@ class RasterSource:
     files : the image's file and what is read with it: world file and ``.prj``, overviews, the parts of a VRT.
     notes : what the user should know about how the image is read or was written.
     claimed : the scale that its georeferencing states; see `georeference.Claim`.
+    by_orthoscale : whether its metadata say that orthoscale gave it its scale.
     """
 
     unit = PER_PIXEL
@@ -91,6 +92,7 @@ class RasterSource:
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, after the first read, a copy of it in blocks
         self.claimed = claim_of(dataset, projection)
+        self.by_orthoscale = SCALE_TAG in dataset.tags()
         self.notes += of_image(dataset, self.claimed, other_claims(path, dataset, self.claimed))
 
     @classmethod
