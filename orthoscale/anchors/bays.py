@@ -69,10 +69,10 @@ def bay_standards() -> tuple[Standard, ...]:
         Standard(
             f"bays of {row['width']:.2f} m",
             row["width"],
-            float(np.hypot(row["width_sd"], BAY_PLACE_SD if documented(code, row) else RECALLED_SD) / row["width"]),
+            float(np.hypot(row["width_sd"], BAY_PLACE_SD if documented(row) else RECALLED_SD) / row["width"]),
             row["source"],
             countries=tuple(row.get("countries", (code,))),
-            documented=documented(code, row),
+            documented=documented(row),
         )
         for code, row in tables().stalls.items()
         if code != "US"

@@ -46,13 +46,14 @@ class Objects(Struct):
 
 class Stall(Struct):
     """The size of a country's parking stalls, and one sigma of their width [m]. countries : where they are used, if the
-    row's key is no country."""
+    row's key is no country. documented : whether their source was found."""
 
     width: Metres
     width_sd: Sigma
     length: Metres
     source: Text
     countries: list[str] = []
+    documented: bool = True
 
 
 class Stalls(Struct):

@@ -79,16 +79,16 @@ def parking_pitch(
     return AnchorVote(anchor, middle, pitch, sd)
 
 
-def documented(key: str, stall: Mapping[str, Any]) -> bool:
-    """Whether the width in the row `key` of the table comes from a rule that was found, and not from memory."""
-    return key != WORLD and not stall["source"].startswith("recalled")
+def documented(stall: Mapping[str, Any]) -> bool:
+    """Whether the width in a row of the table comes from a rule that was found, and not from memory."""
+    return bool(stall.get("documented", True))
 
 
 def _standard(key: str, stall: Mapping[str, Any]) -> Standard:
     """The standard of stalls that only the vehicles in them show. Rules give the least width ("at least" in ten rows of
     the table), and no document says how much wider a place built them: `PLACE_SD` is a judgement, so this improves no
     verdict."""
-    own = np.hypot(stall["width_sd"], PLACE_SD if documented(key, stall) else RECALLED_SD)
+    own = np.hypot(stall["width_sd"], PLACE_SD if documented(stall) else RECALLED_SD)
     return Standard(
         "stalls, by the vehicles in them",
         stall["width"],
