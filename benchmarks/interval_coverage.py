@@ -21,7 +21,8 @@ from scipy.optimize import brentq
 
 from orthoscale.core.fleet import WORLD, Fleet
 from orthoscale.core.pooling.paper import pool_iqr
-from orthoscale.core.pooling.robust import pool, proposed_class
+from orthoscale.core.pooling.proposed import proposed_class
+from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence

@@ -274,19 +274,19 @@ MUTANTS = (
         f"{POOLING}test_twice_as_many_vehicles_have_a_smaller_sampling_part_where_mixes_are_hardly_told_apart",
     ),
     Mutant(
-        "core/pooling/robust.py",
+        "core/pooling/usable.py",
         "np.diag(own) + ruler.common_sd**2",
         "np.diag(own)",
         f"{POOLING}test_what_lengths_and_widths_err_by_alike_is_left_in_their_mean",
     ),
     Mutant(
-        "core/pooling/robust.py",
+        "core/pooling/of_fleets.py",
         "mixes.append(Mix(classes, systematic, combine(systematic), fleet.place_vehicles))",
         "mixes.append(Mix(classes, systematic, combine(systematic + fleet.log_covariance / 8), fleet.place_vehicles))",
         f"{POOLING}test_lengths_and_widths_count_as_generalised_least_squares_has_it",
     ),
     Mutant(
-        "core/pooling/robust.py",
+        "core/pooling/of_fleets.py",
         "weights=weights - apart * (weights @ left) / before,",
         "weights=weights,",
         f"{POOLING}test_lengths_and_widths_count_as_generalised_least_squares_has_it",

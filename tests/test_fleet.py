@@ -10,7 +10,8 @@ import pytest
 from support.simulate import car_park
 
 import orthoscale
-from orthoscale.core.pooling.robust import pool, proposed_class
+from orthoscale.core.pooling.proposed import proposed_class
+from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError

@@ -9,11 +9,12 @@ from support.simulate import place_of, with_most
 
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.market_segments import PlaceKind
-from orthoscale.core.pooling import robust
+from orthoscale.core.pooling import of_fleets
 from orthoscale.core.pooling.mixture import fit
 from orthoscale.core.pooling.observed import Seen
 from orthoscale.core.pooling.problem import Mix
-from orthoscale.core.pooling.robust import pool, vote_noise
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.pooling.usable import vote_noise
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.verdicts import CHECK_LIMIT
 from orthoscale.core.votes import Sightings, gather
@@ -581,12 +582,12 @@ def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     ruler = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.01, 0.01), noise=(0.3, 0.3))
     several = replace(load_fleet("world"), candidates=(second, first), prior=(0.5, 0.5))
     alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")
-    real = robust.fit
+    real = of_fleets.fit
 
     def without_second(seen, mixes, *more):
         found = real(seen, mixes, *more)
         return [None if mix.classes == second.told_apart else fits for mix, fits in zip(mixes, found, strict=True)]
 
-    monkeypatch.setattr(robust, "fit", without_second)
+    monkeypatch.setattr(of_fleets, "fit", without_second)
     both = pool(votes, several, ruler, "m/px")
     assert both.value == alone.value and both.fleets == {"DE": 1.0}

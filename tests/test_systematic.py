@@ -9,7 +9,7 @@ import pytest
 from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.measurement import Pooled
 from orthoscale.core.measuring.systematic import ENDS, SIDES, Systematic, of_height
-from orthoscale.core.pooling.robust import vote_noise
+from orthoscale.core.pooling.usable import vote_noise
 from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, OwnRuler
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Sightings, gather

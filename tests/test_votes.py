@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orthoscale.core.pooling.robust import OF_THE_VEHICLE, vote_noise
+from orthoscale.core.pooling.usable import OF_THE_VEHICLE, vote_noise
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import USUAL_NOISE, Sightings, gather
 

@@ -25,7 +25,7 @@ from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
-from ..core.pooling.robust import proposed_class
+from ..core.pooling.proposed import proposed_class
 from ..core.progress import Progress
 from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..core.source import Source

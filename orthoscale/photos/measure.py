@@ -24,7 +24,7 @@ from ..core.measuring.oblique import ROUNDS, SETTLED, card_of, of_each_view
 from ..core.measuring.surroundings import Standards
 from ..core.measuring.systematic import Systematic
 from ..core.normal import Z90
-from ..core.pooling.robust import MIN_VEHICLES
+from ..core.pooling.usable import MIN_VEHICLES
 from ..core.projection.height import lean
 from ..core.projection.own_ruler import SeenBoxes
 from ..core.projection.view import LOWEST_ELEVATION, Views

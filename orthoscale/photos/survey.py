@@ -13,7 +13,7 @@ from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
-from ..core.pooling.robust import MIN_VEHICLES
+from ..core.pooling.usable import MIN_VEHICLES
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..option import number
 from ..system.paths import path_of, paths_of

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..boxes import KINDS
-from ..pooling.robust import left_by_views
+from ..pooling.usable import left_by_views
 from ..ruler import Ruler
 from ..votes import Votes
 from .measurement import Measurement, Pooled

@@ -11,7 +11,7 @@ from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..detections import UNCONFIRMED, Detections
 from ..fleet import Fleet
-from ..pooling.robust import MIN_VEHICLES, vote_noise
+from ..pooling.usable import MIN_VEHICLES, vote_noise
 from ..remarks import amount
 from ..votes import Sightings, gather
 from .geometry import Geometry

@@ -17,7 +17,7 @@ from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
 from ..fleet import Fleet
-from ..pooling.robust import MIN_VEHICLES
+from ..pooling.usable import MIN_VEHICLES
 from ..projection import decoupled
 from ..projection.exact import BODIES, FLAT, Hull, ground_size
 from ..projection.height import lean

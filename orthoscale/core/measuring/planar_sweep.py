@@ -17,7 +17,7 @@ from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
-from ..pooling.robust import MIN_VEHICLES
+from ..pooling.usable import MIN_VEHICLES
 from ..projection.own_ruler import OwnRuler, SeenBoxes
 from ..projection.planar import ground_size
 from ..projection.view import Views

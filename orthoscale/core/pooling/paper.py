@@ -14,7 +14,7 @@ from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import verdict
 from ..votes import Votes
-from .robust import MIN_VEHICLES
+from .usable import MIN_VEHICLES
 
 NARROW = "the paper's estimator: its interval leaves out the uncertainty of fleet, margin and geometry"
 MIN_SCORE = 0.5
