@@ -41,7 +41,7 @@ def summary(
     lines.append(f"fleet      {text['fleet']} ({text['fleet_name']})")
     lines += _told("focal", [f"{p.lens.focal_px:.1f} px, {p.lens.source}" for p in photos])
     lines += _told("attitude", [p.attitude for p in photos])
-    lines += _told("note", text["notes"])
+    lines += [f"note       {note}" for note in text["notes"]]
     lines += _told("note", [note for p in photos for note in p.tags.notes])
     for got in (together, *(o.measured for o in outcomes)):
         lines += [f"{r.label:10s} {got.photo.name}: {r.text}" for r in got.scale.remarks] if got else []
