@@ -107,11 +107,11 @@ class Comparison:
     def sentence(self) -> str:
         """One line for a person."""
         if not self.unit_known:
-            figures = f"{self.by} give {self.recovered:.4g}, {self.claimed_by} {self.claimed:.4g}"
+            figures = f"{self.by} give {self.recovered:.4g} {self.unit}, {self.claimed_by} {self.claimed:.4g}"
             return f"{self.verdict}, for information only: {figures}, which {self._fits()}"
         percent = f"{abs(100 * (self.ratio - 1)):.1f} % {'more' if self.ratio > 1 else 'less'}"
         text = (
-            f"{self.verdict}: {self.by} give {self.recovered:.4g}, {percent} "
+            f"{self.verdict}: {self.by} give {self.recovered:.4g} {self.unit}, {percent} "
             f"than the {self.claimed:.4g} that {self.claimed_by} ({self.sigmas:.1f} sigma)"
         )
         return text + "".join(f"; perhaps {guess}" for guess in self.guesses)
