@@ -373,7 +373,7 @@ def test_a_metric_model_claims_a_metre_per_unit(tmp_path):
         scale_model(EXAMPLE / "sparse", folder, scale)
     agrees = run("check", right, *RULES)
     assert agrees.returncode == 0 and "agrees: vehicles give" in agrees.stdout
-    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it" in agrees.stdout
+    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it (sim3.txt lies in it)" in agrees.stdout
     assert "orthoscale gave it its scale: agreement with vehicles does not confirm it" in agrees.stdout
     disagrees = run("check", wrong, *RULES, "--json")
     (comparison,) = json.loads(disagrees.stdout)["comparisons"]

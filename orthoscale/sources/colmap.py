@@ -232,7 +232,7 @@ class ColmapSource:
     @property
     def scaled_already(self) -> str:
         """Says that orthoscale wrote this model, whose folder then has a file of ours; empty if it did not."""
-        return f"{BY_ORTHOSCALE}: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
+        return f"{BY_ORTHOSCALE} ({SCALED_MARK} lies in it)" if (self.folder / SCALED_MARK).is_file() else ""
 
     @property
     def metric_already(self) -> str:
