@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.remarks import amount
+from ..core.remarks import amount, percent
 from ..core.scale import with_interval
 from .measure import Interval90, PhotoScale
 from .tables import PhotoOutcome
@@ -72,9 +72,8 @@ def _compared(outcome: PhotoOutcome) -> list[str]:
         return []
     lines = [("vehicles", got.altitude.value, "")]
     if depth is not None:
-        lines.append(
-            ("depth", depth.altitude, f"ground around {depth.vehicles} vehicles, which scatter by {depth.scatter:.1%}")
-        )
+        scatter = f"which scatter by {percent(depth.scatter)}"
+        lines.append(("depth", depth.altitude, f"ground around {depth.vehicles} vehicles, {scatter}"))
     if told:
         lines.append(("drone", told, "the drone reports it, above its take-off point"))
     return ["compared   altitude by   metres    ratio"] + [
