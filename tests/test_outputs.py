@@ -421,6 +421,7 @@ def test_comparisons(ratio, sd, verdict, guess):
     comparison = Comparison("somebody claims", 0.1, 0.1 * ratio, sd)
     assert comparison.verdict == verdict
     assert (guess in comparison.sentence()) and bool(comparison.guesses) == bool(guess)
+    assert ("m/px, the same as the 0.1 that" in comparison.sentence()) == (ratio == 1.0)
     assert comparison.sigmas == pytest.approx(abs(math.log(ratio)) / sd)
 
 
