@@ -773,6 +773,14 @@ def test_no_photo_is_told_from_none_that_can_be_read():
         survey_photos([])
 
 
+def test_where_no_photo_can_be_used_the_first_ones_remedy_is_said(tmp_path):
+    for name in ("a.jpg", "b.jpg"):
+        Image.new("RGB", SIZE).save(tmp_path / name)
+    with pytest.raises(InputError, match="none of 2 photos can be used; .*a.jpg: no focal length") as refused:
+        survey_photos(tmp_path, fleet="DE")
+    assert "--focal-px" in refused.value.hint
+
+
 def test_an_unknown_pitch_is_said(tmp_path, flight):
     _, rules = flight
     write_photo(tmp_path / "a.jpg", exif={0xA405: 31})
