@@ -197,6 +197,7 @@ def test_help_has_examples_and_exit_codes(command):
 
 def test_fleets_are_listed():
     rows = json.loads(run("fleets", "--json").stdout)
+    assert [row["code"] for row in rows] == sorted(row["code"] for row in rows), "a code is found without a search"
     assert {"US", "DE", "JP", "WORLD"} <= {row["code"] for row in rows}
     japan = next(row for row in rows if row["code"] == "JP")
     assert [c["class"][:3] for c in japan["classes"]] == ["kei", "sma", "ord"] and japan["shares_source"]
