@@ -23,6 +23,10 @@ if [ -d "$workspace/dense_metric" ]; then
     echo "$workspace/dense_metric is there already; nothing to do"
     exit 0
 fi
+[ -d "$workspace/dense" ] || { # before the minutes that the sparse model takes
+    echo "error: $workspace/dense does not exist: make it first (colmap image_undistorter, patch_match_stereo, stereo_fusion)" >&2
+    exit 5
+}
 "$(dirname "$0")/post_sparse.sh" "$@"
 case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }

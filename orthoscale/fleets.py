@@ -15,7 +15,10 @@ from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain, shipped
 from .system.paths import path_of
 
-FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
+FLEET_HINT = (
+    'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres. '
+    "A calibration with a local fleet is given by --calibration."
+)
 OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet for an unknown country
 # The prior over countries for a place of which nothing is known. It lies in some country, so the candidates are the
 # fleets of countries: the world's average, with its many sizes, is the fleet of none. All that is known is that there

@@ -141,7 +141,7 @@ def test_place_and_direction_are_the_maps(pair, lies):
 @pytest.mark.parametrize(("heading", "told"), [(359.85, 0), (0.2, 0), (359.4, 359), (35.1, 35)])
 def test_a_direction_is_below_360_degrees(heading, told):
     candidate = SimpleNamespace(middle=(8.5, 47.25), heading=np.radians(heading))
-    assert _found_on("map.tif", candidate).endswith(f"8.500000, 47.250000, its top to {told} degrees")
+    assert _found_on("map.tif", candidate).endswith(f"longitude 8.500000, latitude 47.250000, heading {told} degrees")
 
 
 @pytest.mark.slow

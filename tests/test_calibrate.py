@@ -219,7 +219,12 @@ def test_what_calibrating_the_built_in_detector_costs_is_said(tmp_path, monkeypa
     monkeypatch.setattr("orthoscale.actions.calibrate.calibrate", lambda *given, **options: ready)
     words = [] if detector is None else ["--detector", tmp_path / detector]
     said = command("calibrate", tmp_path / "place.png", "--fleet", "DE", *words).output
-    assert ("without the measurer" in said) == (detector is None), said
+    assert ("less certain with this file than without it" in said) == (detector is None), said
+    assert said.count(" px (1 sigma)") == 2, said
+    save_calibration(ready, tmp_path / "here.json")
+    with pytest.raises(InputError, match="not a fleet") as refused:
+        load_fleet(tmp_path / "here.json")
+    assert "given by --calibration" in refused.value.hint
 
 
 @pytest.mark.slow

@@ -197,6 +197,7 @@ def test_help_has_examples_and_exit_codes(command):
 
 def test_fleets_are_listed():
     rows = json.loads(run("fleets", "--json").stdout)
+    assert [row["code"] for row in rows] == sorted(row["code"] for row in rows), "a code is found without a search"
     assert {"US", "DE", "JP", "WORLD"} <= {row["code"] for row in rows}
     japan = next(row for row in rows if row["code"] == "JP")
     assert [c["class"][:3] for c in japan["classes"]] == ["kei", "sma", "ord"] and japan["shares_source"]
@@ -373,7 +374,7 @@ def test_a_metric_model_claims_a_metre_per_unit(tmp_path):
         scale_model(EXAMPLE / "sparse", folder, scale)
     agrees = run("check", right, *RULES)
     assert agrees.returncode == 0 and "agrees: vehicles give" in agrees.stdout
-    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it" in agrees.stdout
+    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it (sim3.txt lies in it)" in agrees.stdout
     assert "orthoscale gave it its scale: agreement with vehicles does not confirm it" in agrees.stdout
     disagrees = run("check", wrong, *RULES, "--json")
     (comparison,) = json.loads(disagrees.stdout)["comparisons"]

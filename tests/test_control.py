@@ -165,7 +165,8 @@ def test_a_distance_in_feet_contradicts_the_vehicles(flight, found, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("text, why", [("1,2 3,4", "2 words"), ("1,2 3,4 five", "'five' is not a finite number"),
+@pytest.mark.parametrize("text, why", [("1,2 3,4", "2 words, not 3 or 4"),
+                                       ("1,2 3,4 five", "'five' is not a finite number"),
                                        ("1,2 1,2 5", "must differ"), ("1,2,3 4,5,6 5", "not a point of an orthophoto"),
                                        ("1,2 3,4 5 6 7", "words"), ("1,2 3,4 5 1e300", "sigma"),
                                        ("1,2 3,4 5 -1", "sigma"), ("1,2 3,4 1e300", "distance"),

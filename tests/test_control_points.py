@@ -172,6 +172,7 @@ GOOD = "500000 5390000 300 10 20 a.jpg"
         ("1;;678,5", "line 1: '' is not a finite number"),
         ("120;80;500000,25;5390000,5;1", "line 1: 4 coordinates in metres"),
         ("1;2;3\n4 5 6", "line 1: 0 coordinates in metres"),
+        ("hello world", "line 1: 1 coordinate in metres"),
         ("EPSG:32632\n500000;5390000;300;10;20", "line 2: 5 words, but"),
         ("EPSG:32632\n500000 5390000 nan 10 20 a.jpg", "line 2: 'nan' is not a finite number"),
         ("EPSG:32632\n1e30 5390000 300 10 20 a.jpg", "line 2: 1e30 5390000 300 is not a place in EPSG:32632"),

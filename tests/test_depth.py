@@ -331,6 +331,7 @@ def test_one_photo_side_by_side(folder, tmp_path):
     assert done.returncode == 0, done.stderr
     (row,) = (text.split() for text in done.stdout.splitlines() if text.strip().startswith("depth "))
     assert float(row[1]) == pytest.approx(70, abs=0.15) and float(row[2]) == pytest.approx(1, abs=0.02)
+    assert row[-2:] == [f"{float(row[-2]):.1f}", "%"], "the unit set off, as everywhere"
     np.save(tmp_path / "inverse.npy", 300 / exact(folder, 0))
     refused = in_process.run(*line, "--depth", tmp_path / "inverse.npy", "--out", tmp_path / "out.csv")
     assert refused.returncode == 5 and "inverse depth" in refused.stderr and not (tmp_path / "out.csv").exists()

@@ -462,12 +462,14 @@ def test_what_an_earlier_run_wrote_is_replaced_on_demand_only(command, places, t
     assert {name for name in COMMANDS if "overwrite" in words_of(name)} == {*TO_WRITE, "calibrate"}
 
     def again(*words):
-        done = run(
+        return run(
             *(places.get(w, tmp_path / w.lower() if w.startswith(NEW) else w) for w in (*TO_WRITE[command], *words))
         )
-        return done.returncode
 
-    assert (again(), again(), again("--overwrite")) == (0, 2, 0)
+    first = again()
+    assert (first.returncode, again().returncode, again("--overwrite").returncode) == (0, 2, 0)
+    written = [str(tmp_path / word.lower()) for word in TO_WRITE[command] if word.startswith(NEW)]
+    assert [name for name in written if name not in first.stdout] == [], "each file is named"
     assert not any(word.startswith("NEW.json") for word in TO_WRITE[command]) or (tmp_path / "new.json").is_file()
 
 

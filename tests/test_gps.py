@@ -142,8 +142,8 @@ def test_few_positions_say_nothing():
 
 def test_what_decides_the_scale_is_said():
     vehicles = Posterior.normal(np.log(8.0), 0.05)
-    for sd, told in ((0.01, ["GPS positions of 9 frames decide the scale, with 96 % of the weight; --no-gps leaves "
-                             "them out"]), (0.08, [])):  # fmt: skip
+    for sd, told in ((0.01, ["GPS positions of 9 frames have 96 % of the weight; --no-gps leaves them out"]),
+                     (0.08, [])):  # fmt: skip
         gps = Evidence("GPS positions", 8.0, sd, "GPS positions of 9 frames")
         assert [remark.text for remark in combined(vehicles, {"sampling": 0.05}, [gps]).remarks] == told
     far = Evidence("GPS positions", 10.0, 0.01, "GPS positions of 9 frames")
@@ -250,7 +250,7 @@ def test_they_count_beside_the_vehicles_unless_they_are_left_out(flight):
     assert both.scale.relative_sd < 0.6 * alone.scale.relative_sd
     low, high = both.scale.interval90
     assert low < UNIT < high
-    assert any("decide the scale" in remark.text for remark in both.remarks)
+    assert any("of the weight; --no-gps" in remark.text for remark in both.remarks)
     assert alone.settings == {**both.settings, "gps": False}
 
 

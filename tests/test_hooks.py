@@ -97,6 +97,7 @@ def later(path: Path) -> None:
 def test_a_model_that_was_changed_is_not_taken_for_done(bench):
     """Its gauge is another: what was made of the old one must not stand for it."""
     bench.sparse()
+    (bench.work / "dense").mkdir()
     bench.run("post_sparse.sh", bench.work, *OPTIONS)
     bench.run("post_sparse.sh", bench.work, *OPTIONS)
     later(bench.work / "sparse/0/images.bin")
@@ -230,6 +231,7 @@ def test_what_is_missing_is_named(bench):
     bench.program("colmap", "")
     for hook, missing, arguments in (
         ("odm.sh", "missing/opensfm/reconstruction.json", ["missing"]),
+        ("post_dense.sh", "./dense does not exist", ["."]),
         ("automatic_reconstructor.sh", "nowhere", ["--workspace_path", "nowhere", "--image_path", bench.work]),
     ):
         command = [HOOKS / hook, *map(str, arguments)]
@@ -293,6 +295,7 @@ def test_colmap_itself_reads_the_metric_model(bench):
 @pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "nerfstudio", "gsplat"])
 def test_a_hook_hands_the_exit_code_on(bench, hook):
     bench.sparse()
+    (bench.work / "dense").mkdir()
     bench.program("ns-process-data", "")
     (bench.work / "sparse/0/points3D.bin").write_bytes(b"cut")
     end = [bench.work.parent / "out"] if hook in ("nerfstudio", "gsplat") else []
@@ -304,6 +307,7 @@ def test_a_hook_hands_the_exit_code_on(bench, hook):
 @pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "nerfstudio", "gsplat"])
 def test_a_rehearsal_ends_where_nothing_was_written(bench, hook):
     bench.sparse()
+    (bench.work / "dense").mkdir()
     bench.program("ns-process-data", "")
     end = [bench.work.parent / "out", "--"] if hook in ("nerfstudio", "gsplat") else []
     said = bench.run(f"{hook}.sh", bench.work, *end, *OPTIONS, "--dry-run")

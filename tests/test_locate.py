@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -137,6 +138,8 @@ def test_an_orthophoto_is_found_with_its_scale_and_heading(ground, sky, tmp_path
     got = register(seen, sky, GradientFeatures(), Known((0.8, 1.25), np.radians(45)), cache=False)
     best = got.located
     assert best is not None, got.problem
+    beside = replace(got, candidates=[replace(best, squares=5)])
+    assert beside.problem.endswith("matches of the best candidate lie in 5 squares of the picture only, 10 needed")
     assert best.scale == pytest.approx(1 / claimed, rel=4 * got.scale_sd)
     assert np.degrees(best.heading) == pytest.approx(
         shot.heading + sky_turn(sky, shot.foot), abs=np.degrees(4 * got.scale_sd)

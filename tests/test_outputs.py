@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import re
 import sqlite3
 from dataclasses import replace
 from types import SimpleNamespace
@@ -421,6 +422,7 @@ def test_comparisons(ratio, sd, verdict, guess):
     comparison = Comparison("somebody claims", 0.1, 0.1 * ratio, sd)
     assert comparison.verdict == verdict
     assert (guess in comparison.sentence()) and bool(comparison.guesses) == bool(guess)
+    assert ("m/px, the same as the 0.1 that" in comparison.sentence()) == (ratio == 1.0)
     assert comparison.sigmas == pytest.approx(abs(math.log(ratio)) / sd)
 
 
@@ -499,6 +501,7 @@ def test_a_world_file_of_no_unit_is_compared_for_information_only(tmp_path, boxe
     done = check(path, *words)
     assert done.exit_code == 0, done.output
     said = next(line for line in done.stdout.splitlines() if "has no unit, for information only" in line)
+    assert " m/px, its " in said
     assert fits in said and "disagrees" not in done.stdout and "not tied to the ground" not in done.stdout
     assert f"claim      {GSD / unit:.5g} per pixel: " in done.stdout and "of an unknown unit" in done.stdout
     estimated = orthoscale.estimate(path, fleet="DE", detections=boxes)
@@ -591,11 +594,12 @@ def test_check_needs_a_claim(tmp_path, boxes):
 
 def test_the_report_of_an_estimate_compares_too(tmp_path, boxes):
     path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
-    result = orthoscale.estimate(path, detections=boxes, fleet="DE")
+    result = orthoscale.estimate(path, detections=boxes, fleet="DE", known_distance=[f"10,10 410,10 {400 * GSD}"])
     assert comparisons(result)[0].verdict == "agrees"
     from orthoscale.report.terminal import summary
 
     report = result.to_dict()
     assert report["claim"]["verdict"] == "agrees" and json.dumps(report)
     assert report["drift"]["p_tilt"] > 0 and len(report["drift"]["cells"]) > 5
-    assert "claim      agrees" in summary(result)
+    assert re.search(r"\nclaim      agrees: .* give [\d.]+ m/px, ", summary(result))
+    assert f"\nalso       {GSD:g} m/px from the known distance" in summary(result)

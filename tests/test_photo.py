@@ -708,6 +708,15 @@ def test_what_is_to_be_said_of_the_boxes_is_said(tmp_path, flight, command):
     assert "longer and wider than the vehicles is not known" in said
 
 
+def test_notes_on_the_boxes_of_all_photos_are_not_told_as_those_of_one(tmp_path, flight):
+    folder, rules = flight
+    boxes = boxes_in(view_from(-60))
+    found = detections_of({"a.jpg": boxes, "more/b.jpg": boxes, "elsewhere.jpg": boxes})
+    save_detections(replace(found, ruler=UNKNOWN_RULER), tmp_path / "boxes.json")
+    notes = [line for line in run(folder, *rules).stdout.splitlines() if line.startswith("note")]
+    assert len(notes) == 2 and not [note for note in notes if note.endswith("photo)")]
+
+
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
     """It may be the only one; counts agree in all of them and with what is said of each photo."""
     folder, rules = flight
@@ -762,6 +771,14 @@ def test_a_drone_below_its_start_and_a_camera_that_looks_up(flight, xmp, code, s
 def test_no_photo_is_told_from_none_that_can_be_read():
     with pytest.raises(UsageError, match="an empty list"):
         survey_photos([])
+
+
+def test_where_no_photo_can_be_used_the_first_ones_remedy_is_said(tmp_path):
+    for name in ("a.jpg", "b.jpg"):
+        Image.new("RGB", SIZE).save(tmp_path / name)
+    with pytest.raises(InputError, match="none of 2 photos can be used; .*a.jpg: no focal length") as refused:
+        survey_photos(tmp_path, fleet="DE")
+    assert "--focal-px" in refused.value.hint
 
 
 def test_an_unknown_pitch_is_said(tmp_path, flight):

@@ -11,13 +11,17 @@ import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from support.reports import car_park, fixed, fixed_model
 
 from orthoscale.report.files import redraw
+from orthoscale.report.page import page
+from orthoscale.report.scene import Outline, Panel, ReportPictures
 
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 FORMS = {"phone": (360, 740), "desktop": (1280, 900)}
+OVER_ITS_EDGE = ((-300, 300), (50, 300), (50, 500), (-300, 500))  # of a picture 100 px wide [px]
 SMALLEST_LETTERS = 10  # height of the smallest text in a chart [CSS px]
 
 
@@ -111,6 +115,26 @@ def test_a_screen_shows_it_whole_and_quietly(browser, pages, tmp_path, name, for
     page.screenshot(path=shots(f"{name}.{form}.png", tmp_path), full_page=True)
     assert has_a_picture(shots(f"{name}.{form}.png", tmp_path))
     page.close()
+
+
+def test_outlines_end_with_their_picture_and_words_stay_whole(browser, pages):
+    report = json.loads(pages["doubtful"].with_suffix(".json").read_text())
+    anchor = {"kind": "tennis court", "count": 1, "standard": "ITF tennis court", "metres": 23.77, "views": 17}
+    anchor |= {"scale": report["scale"], "relative_sd": 0.004, "residual_cm": 1.0, "counted": True, "picture": ""}
+    high = Panel("high", np.full((800, 100, 3), 255, np.uint8), [Outline(np.array(OVER_ITS_EDGE), True, "")])
+    shown = page({**report, "anchors": [anchor]}, ReportPictures(overviews=[high]))
+    pages["doubtful"].with_name("shown.html").write_text(shown, encoding="utf-8")
+    tab = browser.new_page(viewport={"width": 360, "height": 740})
+    tab.goto(pages["doubtful"].with_name("shown.html").as_uri())
+    pixels = cv2.imdecode(np.frombuffer(tab.locator(".overview svg.scene").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    coloured = np.ptp(pixels.astype(int), axis=2).max(axis=0) > 50
+    assert coloured.any() and not coloured[: len(coloured) // 4].any(), "the picture has less than half of the width"
+    lines = tab.evaluate(
+        """(() => { const words = document.createRange(); words.selectNodeContents(document.querySelector('td.name'));
+        return words.getClientRects().length; })()"""
+    )
+    assert lines <= 2, "17 pictures: a line for each word at most"
+    tab.close()
 
 
 @pytest.mark.parametrize("name", ["ortho", "doubtful"])

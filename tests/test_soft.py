@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.enlarged import AS_IT_IS, enlargement
 from orthoscale.detect.measurer import MOVED_SD, Measured, Measurer
-from orthoscale.detect.remeasure import remeasured
+from orthoscale.detect.remeasure import _notes, remeasured
 from orthoscale.detect.soft import GROWS, LESS_SURE, less_sure, softness
 from orthoscale.detect.windows import windows_about
 from training.evaluate import measured_scenes
@@ -96,6 +98,14 @@ def test_in_a_soft_picture_the_same_edges_are_moved_and_the_margin_is_less_sure(
     more = np.array(LESS_SURE) * np.sqrt(1 - soft**-2)
     assert got.ruler.margin_sd == pytest.approx(np.hypot(CARD.ruler.margin_sd, more) * ZOOM)
     assert "the picture is soft: its edges are 2.02 times as uncertain as sharp ones" in got.notes
+
+
+def test_of_several_pictures_it_is_said_that_they_are_soft():
+    seen = SimpleNamespace(index={"a": [0], "b": [1]}, enlarged=Fraction(2), soft=1.5, too_large=np.zeros(2))
+    assert list(_notes(seen)) == [
+        "the pictures are enlarged 2 times beyond their detail: measured at reduced size",
+        "the pictures are soft: their edges are 1.50 times as uncertain as sharp ones",
+    ]
 
 
 def test_what_is_no_vehicle_says_nothing_of_softness():

@@ -89,7 +89,7 @@ def _found_on(name: str, candidate: Candidate) -> str:
     """The note that the input was found on the map called `name`, at the place of `candidate`."""
     lon, lat = candidate.middle
     heading = round(math.degrees(candidate.heading)) % 360
-    return f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {heading} degrees"
+    return f"found on {name} around longitude {lon:.6f}, latitude {lat:.6f}, heading {heading} degrees"
 
 
 def _registered(

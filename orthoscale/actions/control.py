@@ -50,7 +50,7 @@ def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Ev
     try:
         words = shlex.split(text)
         if len(words) not in (3, 4):
-            raise ValueError(f"{len(words)} words")
+            raise ValueError(f"{len(words)} words, not 3 or 4")
         *ends, metres = words[:3]
         points = [_Footed.on(footing, source.locate(word)) for word in ends]
         place = np.array([point.place for point in points])

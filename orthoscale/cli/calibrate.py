@@ -29,7 +29,7 @@ NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 
 NO_MEASURER = (
     "with this file the built-in detector's own boxes count, without the measurer: "
-    "at other places the scale is usually less certain than without it"
+    "at other places the scale is usually less certain with this file than without it"
 )
 
 
@@ -80,7 +80,8 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
     for k, axis in enumerate(("length", "width ")):
         lines.append(
             f"{axis}     vehicle {made['size_m'][k]:.2f} +- {made['size_sd_m'][k]:.2f} m, "
-            f"box {ruler.margin[k]:+.1f} +- {ruler.margin_sd[k]:.1f} detector px, noise {ruler.noise[k]:.1f} px"
+            f"box {ruler.margin[k]:+.1f} +- {ruler.margin_sd[k]:.1f} detector px, "
+            f"noise {ruler.noise[k]:.1f} px (1 sigma)"
         )
     lines.append(f"vehicles   {made['vehicles']}, at {made['gsd_m']:.4g} m/px, against fleet {made['fleet']}")
     lines += [f"note       {note}" for note in made["notes"]]

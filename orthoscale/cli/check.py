@@ -112,6 +112,8 @@ def check(
         echo(json_in_utf8(outcome.to_dict()))
     else:
         _show(outcome)
+        if save_detections is not None:
+            say(f"boxes      {save_detections}")
     if outcome.disagrees:  # the output above says so
         sys.exit(EvidenceDisagrees.exit_code)
     with boxes.telling():

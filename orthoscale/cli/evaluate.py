@@ -137,14 +137,15 @@ def evaluate(
         found = boxes.boxes_of(photos, how, ruler, progress)
         notes += found.notes
         saved.keep(found, photos)
+        written = outputs if save_detections is None else (*outputs, save_detections)
         if search is None:
             text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
-            shown = report.tables(text, outputs)
+            shown = report.tables(text, written)
         else:
             from ..evaluate import locating
 
             text = locating.document(search, found, ruler, notes, progress)
-            shown = "\n".join([locating.table(text), *(f"written    {output}" for output in outputs)])
+            shown = "\n".join([locating.table(text), *(f"written    {output}" for output in written)])
         for partial in partials:
             report.write(text, partial)
     echo(json_in_utf8(text)) if as_json else say(shown)

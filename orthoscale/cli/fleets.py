@@ -63,7 +63,7 @@ def fleets(
         _from_register(registrations, out, overwrite, as_json)
         return
 
-    table = [load_fleet(code) for code in codes or fleet_codes()]
+    table = [load_fleet(code) for code in codes or sorted(fleet_codes())]
     if as_json:
         echo(json.dumps([_plain(f) for f in table], indent=1, ensure_ascii=False))
         return

@@ -91,4 +91,5 @@ def photo(
     else:
         from ..photos.terminal import summary
 
-        say(summary(outcomes, text, pooled, outputs))
+        written = outputs if save_detections is None else (*outputs, save_detections)
+        say(summary(outcomes, text, pooled, written))

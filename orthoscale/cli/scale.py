@@ -92,7 +92,7 @@ def estimate(
         if not any(each.useful for each in results):
             results[0].require_useful()
         return
-    _finish(result, as_json)
+    _finish(result, as_json, _saved(save_detections))
     with boxes.telling():
         result.require_useful()  # after the figures are printed; the exit code keeps scripts from using them
 
@@ -158,7 +158,7 @@ def fix(
         if models:
             _finish_all(done, as_json, out, request.report)
         else:
-            _finish(done, as_json, _written(done, out, request.report))
+            _finish(done, as_json, _written(done, out, request.report) | _saved(save_detections))
     if missing:
         raise missing
 
@@ -180,6 +180,11 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
 
     page = report_paths(out, result.source.posed is not None, report).get("html")
     return {"written": out} | ({"report": page} if page and page.is_file() else {})
+
+
+def _saved(boxes: Path | None) -> dict[str, Path]:
+    """The file of the boxes, where they were saved."""
+    return {"boxes": boxes} if boxes is not None and boxes.is_file() else {}
 
 
 def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:

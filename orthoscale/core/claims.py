@@ -107,12 +107,13 @@ class Comparison:
     def sentence(self) -> str:
         """One line for a person."""
         if not self.unit_known:
-            figures = f"{self.by} give {self.recovered:.4g}, {self.claimed_by} {self.claimed:.4g}"
+            figures = f"{self.by} give {self.recovered:.4g} {self.unit}, {self.claimed_by} {self.claimed:.4g}"
             return f"{self.verdict}, for information only: {figures}, which {self._fits()}"
-        percent = f"{abs(100 * (self.ratio - 1)):.1f} % {'more' if self.ratio > 1 else 'less'}"
+        percent = f"{abs(100 * (self.ratio - 1)):.1f} %"
+        apart = "the same as" if percent == "0.0 %" else f"{percent} {'more' if self.ratio > 1 else 'less'} than"
         text = (
-            f"{self.verdict}: {self.by} give {self.recovered:.4g}, {percent} "
-            f"than the {self.claimed:.4g} that {self.claimed_by} ({self.sigmas:.1f} sigma)"
+            f"{self.verdict}: {self.by} give {self.recovered:.4g} {self.unit}, {apart} "
+            f"the {self.claimed:.4g} that {self.claimed_by} ({self.sigmas:.1f} sigma)"
         )
         return text + "".join(f"; perhaps {guess}" for guess in self.guesses)
 

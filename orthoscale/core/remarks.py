@@ -19,6 +19,7 @@ ONE = {  # the singular of each plural word
     "photos": "photo",
     "images": "image",
     "parts": "part",
+    "coordinates": "coordinate",
     "do": "does",
 }
 

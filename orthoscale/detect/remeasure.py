@@ -145,10 +145,11 @@ def _notes(seen: _Seen) -> Iterator[str]:
     length, width = (signed(each) for each in np.expm1(seen.too_large))
     if {length, width} != {signed(0.0)}:
         yield f"shadows make dark vehicles appear larger, by {length} in length and {width} in width: corrected"
+    which, their = ("picture is", "its") if len(seen.index) == 1 else ("pictures are", "their")
     if seen.enlarged > 1:
-        yield f"the picture is enlarged {float(seen.enlarged):g} times beyond its detail: measured at reduced size"
+        yield f"the {which} enlarged {float(seen.enlarged):g} times beyond {their} detail: measured at reduced size"
     if round(seen.soft, 2) > 1:
-        yield f"the picture is soft: its edges are {seen.soft:.2f} times as uncertain as sharp ones"
+        yield f"the {which} soft: {their} edges are {seen.soft:.2f} times as uncertain as sharp ones"
 
 
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..core.remarks import amount
 from ..errors import InputError, shown
 from .points import WITH_COMMA, decimal_commas, number
 from .reading import read_text, reason
@@ -100,7 +101,7 @@ def _of_points(path: Path, lines: Sequence[tuple[int, str]]) -> Iterator[Control
         with in_line(path, row):
             name, *words = columns
             if len(words) not in (2, 3):
-                raise ValueError(f"{len(words)} coordinates in metres")
+                raise ValueError(amount(len(words), "coordinates in metres"))
             yield ControlPoint(row, tuple(number(word) for word in words), (name,))
 
 

@@ -123,7 +123,8 @@ class Registration:
             return f"best candidate has {best} matches, {self.needed} needed"
         if self.candidates[0].squares < LEAST_SQUARES:
             squares = self.candidates[0].squares
-            return f"the {best} matches of the best candidate lie in {squares} places only, {LEAST_SQUARES} needed"
+            where = f"{squares} squares of the picture only, {LEAST_SQUARES} needed"
+            return f"the {best} matches of the best candidate lie in {where}"
         if self.rival is not None:
             return f"two places match about equally: {best} and {self.candidates[self.rival].inliers} matches"
         return ""

@@ -137,7 +137,8 @@ def open_photos(
 
     decode : leave out damaged ones too; see `open_sound_photo`.
     """
-    photos, problems = [], {}
+    photos: list[Photo] = []
+    errors: dict[str, InputError] = {}
     opened = open_sound_photo if decode else open_photo
     for name, path in paths.items():
         try:
@@ -145,11 +146,11 @@ def open_photos(
         except InputError as error:
             if len(paths) == 1:
                 raise
-            problems[name] = error.message
+            errors[name] = error
     if not photos:
-        name = next(iter(problems))
-        raise InputError(f"none of {len(problems)} photos can be used; {problems[name]}", "Check the first one.")
-    return photos, problems
+        first = next(iter(errors.values()))
+        raise InputError(f"none of {len(errors)} photos can be used; {first.message}", first.hint)
+    return photos, {name: error.message for name, error in errors.items()}
 
 
 def measure_each(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.remarks import amount
+from ..core.remarks import amount, percent
 from ..core.scale import with_interval
 from .measure import Interval90, PhotoScale
 from .tables import PhotoOutcome
@@ -41,7 +41,7 @@ def summary(
     lines.append(f"fleet      {text['fleet']} ({text['fleet_name']})")
     lines += _told("focal", [f"{p.lens.focal_px:.1f} px, {p.lens.source}" for p in photos])
     lines += _told("attitude", [p.attitude for p in photos])
-    lines += _told("note", text["notes"])
+    lines += [f"note       {note}" for note in text["notes"]]
     lines += _told("note", [note for p in photos for note in p.tags.notes])
     for got in (together, *(o.measured for o in outcomes)):
         lines += [f"{r.label:10s} {got.photo.name}: {r.text}" for r in got.scale.remarks] if got else []
@@ -72,9 +72,8 @@ def _compared(outcome: PhotoOutcome) -> list[str]:
         return []
     lines = [("vehicles", got.altitude.value, "")]
     if depth is not None:
-        lines.append(
-            ("depth", depth.altitude, f"ground around {depth.vehicles} vehicles, which scatter by {depth.scatter:.1%}")
-        )
+        scatter = f"which scatter by {percent(depth.scatter)}"
+        lines.append(("depth", depth.altitude, f"ground around {depth.vehicles} vehicles, {scatter}"))
     if told:
         lines.append(("drone", told, "the drone reports it, above its take-off point"))
     return ["compared   altitude by   metres    ratio"] + [

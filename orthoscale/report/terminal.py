@@ -74,7 +74,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     if swept is not None and swept.why:
         table.append(("sweep", f"{swept.looked_at}, {swept.why} (--exhaustive for all)"))
     table += [
-        ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
+        ("also", f"{e.value:.5g} {scale.unit} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)")
+        for e in scale.evidence
     ]
     if result.anchors.votes:
         anchors = Counter(vote.anchor.kind for vote in result.anchors.votes)

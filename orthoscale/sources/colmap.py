@@ -238,7 +238,7 @@ class ColmapSource:
     def metric_already(self) -> str:
         """Why this model counts as metric, empty if it does not: orthoscale wrote it, its coordinates are those of a
         map, or the GPS positions of its frames are its cameras' own."""
-        return f"{BY_ORTHOSCALE}: {SCALED_MARK} lies in it" if self.by_orthoscale else self._georeferenced
+        return f"{BY_ORTHOSCALE} ({SCALED_MARK} lies in it)" if self.by_orthoscale else self._georeferenced
 
     @cached_property
     def _from_origin(self) -> FromOrigin:

@@ -178,7 +178,7 @@ def _weighed(
 def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
     """A remark if GPS positions, which nobody gave on purpose, have most of the weight."""
     return [
-        Remark(INFO, f"{e.says} decide the scale, with {100 * weight:.0f} % of the weight; --no-gps leaves them out")
+        Remark(INFO, f"{e.says} have {100 * weight:.0f} % of the weight; --no-gps leaves them out")
         for e in heard
         if e.kind == BY_GPS and (weight := min((posterior.spread / e.own_sd) ** 2, 1.0)) > LEADING
     ]
