@@ -310,7 +310,7 @@ def batch(parks, tmp_path):
         assert done.returncode == code, done.stderr
         with suppress(FileNotFoundError):
             rows = csv.DictReader((tmp_path / summary if summary.endswith(".csv") else tmp_path / "out.csv").open())
-            return done, {Path(row["input"]).name: row for row in rows}
+            return done, {Path(row["input"]).name: {**row, "written_by": ""} for row in rows}
         return done, {}
 
     fixed.folder, fixed.out, fixed.boxes, fixed.parks = folder, tmp_path / "scaled", Path(boxes), parks
@@ -427,6 +427,9 @@ def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
     for ending in ("json", "html", "gpkg"):
         batch(summary=f"more.{ending}", code=0)
         batch(summary=f"more.{ending}", code=0)
+    (remarked := batch.out.parent / "out.csv").write_text(remarked.read_text().replace(",DE,", ",FR,"))
+    done, _ = batch(code=2)
+    assert "out.csv was changed since orthoscale wrote it" in done.stderr and ",FR," in remarked.read_text()
     shutil.copytree(batch.folder, other := batch.folder.parent / "others")
     for ending in ("csv", "json", "html", "gpkg"):  # another batch's would lose the rows of this one
         name = f"{'out' if ending == 'csv' else 'more'}.{ending}"

@@ -75,7 +75,6 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("frame_bytes",): {},
     ("frame_crc32",): {},
     ("other_files",): {},
-    ("copy",): None,
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",
@@ -138,7 +137,6 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "frame_bytes": {name: size for name, (size, _) in frames.items()},
         "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
         "other_files": _other_files(source, of.given),
-        "copy": None if of.copied is None else [*of.copied],
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),
@@ -313,11 +311,6 @@ def replaced_frames(report: Mapping[str, Any], source: Source) -> str:
         if sizes.get(name, size) != size or crcs.get(name, crc) != crc
     ]
     return f"frames have changed since: {first_few(others)}" if others else ""
-
-
-def is_other_copy(report: Mapping[str, Any], out: Path) -> bool:
-    """Whether the orthophoto's copy at `out` is not as it was when its `report` was written. Raises InputError."""
-    return report.get("copy") is not None and out.is_file() and [*glance(out)] != report["copy"]
 
 
 def replaced_files(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
