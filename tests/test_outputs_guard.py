@@ -997,6 +997,13 @@ def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
     (here / "out.json").write_text("precious")
     refused = fixed(ortho, out, *ALL)
     assert refused.returncode == 2 and "already exists" in refused.stderr
+    whole = state(here)
+    (here / "out.tif.html").write_text((here / "out.tif.html").read_text().replace("<body", "<body>My notes: <p"))
+    for more in ((), ("--report", "none")):  # the page would be lost, or speak of the new copy
+        refused = fixed(ortho, out, "--overwrite", *more)
+        assert refused.returncode == 2 and "out.tif.html was changed since orthoscale wrote it" in refused.stderr
+    (here / "out.tif.html").write_bytes(whole[Path("out.tif.html")])
+    assert state(here) == whole
     assert fixed(ortho, out, *ALL, "--overwrite").returncode == 0
     assert set(names(here)) == first | {"out.tif.notes.txt", "out.json"}
     assert fixed(ortho, out, "--overwrite", "--report", "none").returncode == 0
