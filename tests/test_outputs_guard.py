@@ -260,7 +260,9 @@ CONTENT = {
 }
 SIGNED = {
     "a.txt": lambda path: path.write_text(f"imagesource:{room(path)}\n"),
-    "large.txt": lambda path: path.write_text("a" * (BLOCK_BYTES - 50) + room(path) + "a" * BLOCK_BYTES),
+    # The signature, or the CRC-32 after it, lies in two of the blocks that are read.
+    "two.txt": lambda path: path.write_text("a" * (BLOCK_BYTES - 20) + room(path) + "a" * BLOCK_BYTES),
+    "too.txt": lambda path: path.write_text("a" * (BLOCK_BYTES - 38) + room(path) + "a" * BLOCK_BYTES),
 }
 
 
@@ -309,7 +311,7 @@ def test_a_file_that_was_edited_is_not_replaced(tmp_path, name):
     for place in {0, len(written) // 4, len(written) - 1} - {-1}:
         path.write_bytes(written[:place] + bytes([written[place] ^ 1]) + written[place + 1 :])
         assert not ours(path)
-        with pytest.raises(UsageError, match="a.* (was changed since|was not written by) orthoscale"):
+        with pytest.raises(UsageError, match="(was changed since|was not written by) orthoscale"):
             write_file(path, overwrite=True)
     path.write_bytes(written)
     assert ours(path)
