@@ -401,6 +401,11 @@ def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path
         outputs.file(tmp_path / "a/report.html", ours_in_a_folder).write_text("<html></html>")
     (tmp_path / "a/other.html").write_text("new")
     assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
+    with (tmp_path / "a/report.html").open("a") as page:
+        page.write("<!-- my notes -->")
+    with pytest.raises(UsageError, match="report.html was changed since"):
+        Outputs(overwrite=True).file(tmp_path / "a/report.html", ours_in_a_folder)
+    assert not ours(tmp_path / "a")
 
 
 def test_a_geopackage_that_was_edited_is_not_replaced(tmp_path):

@@ -49,8 +49,9 @@ def ours(path: Path) -> bool:
 
 
 def ours_in_a_folder(path: Path) -> bool:
-    """Whether orthoscale wrote `path`, as a single file or as a part of the folder that it lies in."""
-    return ours(path) or _is_as_written(path, _listed(path.absolute().parent) or {}, path.name)
+    """Whether orthoscale wrote `path`, as a single file, edited since or not, or as a part of the folder that it lies
+    in."""
+    return is_signed(path) or _is_as_written(path, _listed(path.absolute().parent) or {}, path.name)
 
 
 def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
