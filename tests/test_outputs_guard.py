@@ -31,7 +31,15 @@ from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputErr
 from orthoscale.formats.csv_table import write_csv
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
-from orthoscale.system.signatures import BLOCK_BYTES, FOLDER_MARK, ours, ours_in_a_folder, room, signature
+from orthoscale.system.signatures import (
+    BLOCK_BYTES,
+    FOLDER_MARK,
+    ours,
+    ours_in_a_folder,
+    room,
+    signature,
+    written_in_metres,
+)
 from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
@@ -391,6 +399,15 @@ def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
     assert ours(tmp_path / "a") and ours_in_a_folder(tmp_path / "a/report.html")
     (tmp_path / "a/precious").touch()
     assert not ours(tmp_path / "a")
+
+
+@pytest.mark.parametrize("how", ["a pipe", "deep", "a list"])
+def test_a_mark_that_somebody_else_made_is_none(tmp_path, how):
+    """Marks are looked for in all folders above an input: that of /tmp is anybody's."""
+    mark = tmp_path / FOLDER_MARK
+    os.mkfifo(mark) if how == "a pipe" else mark.write_text("[" * 100_000 if how == "deep" else "[1]")
+    (tmp_path / "model").mkdir()
+    assert not written_in_metres(tmp_path / "model") and not ours(tmp_path)
 
 
 def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path):

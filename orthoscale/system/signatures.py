@@ -18,7 +18,7 @@ from contextlib import closing, suppress
 from functools import cache
 from itertools import chain, repeat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from ..version import __version__
 from .paths import homes
@@ -92,13 +92,23 @@ def _why_not_our_folder(folder: Path) -> str:
 def _listed(folder: Path) -> dict[str, str | None] | None:
     """The files that the mark of `folder` lists, each with its `_state` when it was written, None in folders of older
     versions; None if it has no mark for a folder of this name."""
+    mark = _mark(folder)
     try:
-        mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
         files = mark["files"] if isinstance(mark["files"], dict) else dict.fromkeys(mark["files"])
         listed = {name: None if state is None else str(state) for name, state in files.items()}
         return listed if mark["written_by"] == signature(folder.absolute()) else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return None
+
+
+def _mark(folder: Path) -> dict[str, Any]:
+    """The mark of `folder`, which may be anybody's, such as that of /tmp; {} if there is none that can be read."""
+    path = folder / FOLDER_MARK
+    try:
+        mark = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}  # a pipe would be waited for
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return mark if isinstance(mark, dict) else {}
 
 
 def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
@@ -183,10 +193,10 @@ def written_in_metres(path: Path) -> bool:
     folder says, which may have been renamed since."""
     for place in homes(path):
         for folder in (place, *place.parents):
+            mark = _mark(folder)
             try:
-                mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
                 files = [folder / name for name in mark["files"]] if mark["metres"] is True else []
-            except (OSError, ValueError, KeyError, TypeError):
+            except (KeyError, TypeError):
                 continue
             if any(file.is_relative_to(place) and file.exists() for file in files):
                 return True
