@@ -93,6 +93,16 @@ def test_several_summaries(parks, tmp_path):
     assert all(place.is_file() for place in places)
 
 
+ODD = {"pipe.json": "", "deep.json": "[" * 100_000, "long.csv": "x" * 200_000 + "\nx"}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_is_no_summary_lists_no_inputs(tmp_path, name):
+    """A pipe, JSON nested too deeply, a cell too long: hung, or ended as a bug, before the summary was refused."""
+    (tmp_path / name).write_text(ODD[name]) if ODD[name] else os.mkfifo(tmp_path / name)
+    assert inputs_in(tmp_path / name) is None
+
+
 @pytest.mark.parametrize("ending", ["json", pytest.param("gpkg", marks=SLOW), pytest.param("html", marks=SLOW)])
 def test_summaries_in_every_format(parks, tmp_path, ending):
     summary = tmp_path / f"out.{ending}"

@@ -68,10 +68,12 @@ def is_summary(path: Path) -> bool:
 
 
 def inputs_in(path: Path) -> set[str] | None:
-    """The inputs in the summary `path`, as `in_utf8` writes them; None if it is damaged."""
+    """The inputs in the summary `path`, as `in_utf8` writes them; None if it is damaged or no file."""
+    if not path.is_file():  # a pipe would be waited for
+        return None
     try:
         return set(map(in_utf8, SUMMARY_READERS[path.suffix.lower()](path)))
-    except (OSError, ValueError, KeyError, TypeError, sqlite3.Error):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error, sqlite3.Error):
         return None
 
 
