@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -543,6 +544,23 @@ def test_a_process_ends_also_if_a_library_swallows_the_stop(parks, monkeypatch):
     stand_in(monkeypatch, program)
     (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
     assert row["exit_code"] == 1 and "was stopped" in row["error"]
+
+
+def test_no_process_goes_on_after_the_command_was_killed():
+    """As for want of memory: its jobs were finished nevertheless, and the next run found their outputs locked."""
+    child = (
+        "import os, signal, time; from orthoscale.actions import processes\n"
+        "processes.serve(lambda job: (os.kill(os.getppid(), signal.SIGKILL), time.sleep(40)))"
+    )
+    command = (
+        "import subprocess, sys\n"
+        "from orthoscale.detect.foreign_worker import send\n"
+        f"child = subprocess.Popen([sys.executable, '-c', {child!r}], stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "send(child.stdin, {'job': {'input': 'a', 'out': None}, 'memory': 1 << 30, 'log': 30})\n"
+        "child.wait()"
+    )
+    done = subprocess.run([sys.executable, "-c", command], stderr=subprocess.PIPE, timeout=30)  # ends with the child
+    assert done.returncode == -9 and not done.stderr
 
 
 def test_a_bug_in_a_process_is_one_line_of_its_row(parks, monkeypatch, capfd):
