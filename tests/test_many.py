@@ -391,10 +391,8 @@ def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
     assert "--overwrite" not in done.stderr
 
 
-def test_a_copy_called_report_is_a_copy(tmp_path):
-    """It was taken for a part of its report, in which no change was seen."""
-    (tmp_path / "report.tif").touch()
-    assert finished._copied(tmp_path / "report.tif") == [tmp_path / "report.tif"]
+def test_what_is_called_report_is_not_all_of_the_report(tmp_path):
+    """It was taken for a part of it, in which no change was seen."""
     (tmp_path / "a").mkdir()
     for name in ("report.json", "report.html", "report.txt", "vehicles.png", "points3D.bin", ".orthoscale.json"):
         (tmp_path / "a" / name).touch()
