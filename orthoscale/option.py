@@ -6,7 +6,6 @@ They become the options of the command line and the keywords in Python; messages
 from __future__ import annotations
 
 import difflib
-import math
 import numbers
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import Field, dataclass, field, fields
@@ -17,6 +16,7 @@ from .errors import UsageError, shown
 
 # Of options in --help, in this order. "Main" has what most runs need: required options, --fleet and --out.
 GROUPS = ("Main", "Input", "Detector", "Evidence", "Output", "Advanced")
+LARGEST_NUMBER = 1e12  # a positive number beyond it, or as far below 1, is a mistake, and its square may be infinite
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,17 @@ def number(name: str, value: Any, kind: type = float) -> Any:
     raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {shown(repr(value))}")
 
 
+def positive(name: str, value: Any, kind: type = float) -> Any:
+    """`number`, which must be positive, and neither so large nor so small that computing with it overflows. Raises
+    UsageError."""
+    value = number(name, value, kind)
+    if not 1 / LARGEST_NUMBER <= value <= LARGEST_NUMBER:
+        raise UsageError(
+            f"{name} must be a positive number, from {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, not {value}"
+        )
+    return value
+
+
 def _check(name: str, about: Option, value: Any) -> Any:
     wanted, called = _KINDS[about.kind]
     if about.kind in (float, int):
@@ -112,8 +123,8 @@ def _check(name: str, about: Option, value: Any) -> Any:
         raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
     if about.choices and value not in about.choices:
         raise UsageError(f"{name} {value} is not one of {', '.join(about.choices)}", nearest(value, about.choices))
-    if about.positive and not (math.isfinite(value) and value > 0):
-        raise UsageError(f"{name} must be a positive number, not {value}")
+    if about.positive:
+        value = positive(name, value, about.kind)
     if about.not_negative and value < 0:
         raise UsageError(f"{name} must be 0 or more, not {value}")
     return value

@@ -40,10 +40,14 @@ EVIDENCE, PROJECTED, PHOTO = "tests/test_evidence.py::", "tests/test_projection.
 ALIKE = f"{CHOICES}test_what_two_measurements_of_the_same_vehicles_may_differ_by"
 LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
 BLOCKS, FUSED, POOLING = "tests/test_blocks.py::", "tests/test_anchor_fusion.py::", "tests/test_pooling.py::"
+EDITED = "tests/test_outputs_guard.py::test_a_file_that_was_edited_is_not_replaced"
 UNITED = (
     "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
 )
 MUTANTS = (
+    Mutant("system/signatures.py", "kept = content[len(content) - len(text) + 1 :]", 'kept = b""', EDITED),
+    Mutant("system/signatures.py", "all(crc != _crc(file, place)", "all(not crc", EDITED),
+    Mutant("system/signatures.py", "block[: max(0, start - here)]", "block[:start]", EDITED),
     Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.7)", SUPPRESSED),
     Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.1)", SUPPRESSED),
     Mutant(

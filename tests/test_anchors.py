@@ -360,7 +360,7 @@ def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
     assert layer == ["painted square"] * 3 + ["small square"] * 2
     few = run("anchors", path, "--scale", "0.101", "--anchors", "all", "--json")
     assert len(json.loads(few.stdout)["anchors"]) == 5
-    assert run("anchors", path, "--scale", "-1").returncode == 2
+    assert run("anchors", path, "--scale", "-1").returncode == run("anchors", path, "--scale", "1e-308").returncode == 2
     done = run("anchors", path, "--estimator", "iqr")
     assert done.returncode == 2 and "--estimator iqr" in done.stderr and "Remove --estimator." in done.stderr
 

@@ -26,9 +26,9 @@ MAY_IMPORT = {
     "anchors": "core detect formats system",
     "option": "errors",
     "requests": "anchors core errors option",
-    "sources": "core countries errors fleets formats system",
+    "sources": "core countries errors fleets formats option system",
     "photos": "core detect errors formats option requests sources system",
-    "locate": "core detect errors formats photos sources",
+    "locate": "core detect errors formats option photos sources",
     "report": "core errors formats requests sources system version",
     "actions": "anchors core detect errors fleets formats locate option photos report requests sources system",
     "": "actions core errors fleets formats photos report system version",  # the package: its public names

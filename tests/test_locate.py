@@ -461,6 +461,8 @@ def test_opinions_that_agree_are_pooled():
     (("--prior", "20,40,100"), "lies outside of map.tif"),
     (("--heading", "north"), "neither a number of degrees nor 'search'"),
     (("--gsd", "0"), "--gsd must be a positive number"),
+    (("--gsd", "1e308"), "--gsd must be a positive number, from 1e-12 to 1e"),
+    (("--gsd", "0.1", "--focal-px", "1e22"), "--focal-px must be a positive number, from 1e-12 to 1e"),
     (("--fleet", "DE"), "--fleet does nothing here: --gsd says how large a pixel is"),
     (("--embedding-map", "x.onnx"), "second of two networks"),
     (("--method", "retrieval"), "needs a network"),

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -91,6 +92,16 @@ def test_several_summaries(parks, tmp_path):
     words = [word for place in places for word in ("--summary", place)]
     run("estimate", parks / "pictures/a.png", *options(parks, *words))
     assert all(place.is_file() for place in places)
+
+
+ODD = {"pipe.json": "", "deep.json": "[" * 100_000, "long.csv": "x" * 200_000 + "\nx"}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_is_no_summary_lists_no_inputs(tmp_path, name):
+    """A pipe, JSON nested too deeply, a cell too long: hung, or ended as a bug, before the summary was refused."""
+    (tmp_path / name).write_text(ODD[name]) if ODD[name] else os.mkfifo(tmp_path / name)
+    assert inputs_in(tmp_path / name) is None
 
 
 @pytest.mark.parametrize("ending", ["json", pytest.param("gpkg", marks=SLOW), pytest.param("html", marks=SLOW)])
@@ -310,7 +321,7 @@ def batch(parks, tmp_path):
         assert done.returncode == code, done.stderr
         with suppress(FileNotFoundError):
             rows = csv.DictReader((tmp_path / summary if summary.endswith(".csv") else tmp_path / "out.csv").open())
-            return done, {Path(row["input"]).name: row for row in rows}
+            return done, {Path(row["input"]).name: {**row, "written_by": ""} for row in rows}
         return done, {}
 
     fixed.folder, fixed.out, fixed.boxes, fixed.parks = folder, tmp_path / "scaled", Path(boxes), parks
@@ -380,10 +391,8 @@ def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
     assert "--overwrite" not in done.stderr
 
 
-def test_a_copy_called_report_is_a_copy(tmp_path):
-    """It was taken for a part of its report, in which no change was seen."""
-    (tmp_path / "report.tif").touch()
-    assert finished._copied(tmp_path / "report.tif") == [tmp_path / "report.tif"]
+def test_what_is_called_report_is_not_all_of_the_report(tmp_path):
+    """It was taken for a part of it, in which no change was seen."""
     (tmp_path / "a").mkdir()
     for name in ("report.json", "report.html", "report.txt", "vehicles.png", "points3D.bin", ".orthoscale.json"):
         (tmp_path / "a" / name).touch()
@@ -427,6 +436,9 @@ def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
     for ending in ("json", "html", "gpkg"):
         batch(summary=f"more.{ending}", code=0)
         batch(summary=f"more.{ending}", code=0)
+    (remarked := batch.out.parent / "out.csv").write_text(remarked.read_text().replace(",DE,", ",FR,"))
+    done, _ = batch(code=2)
+    assert "out.csv was changed since orthoscale wrote it" in done.stderr and ",FR," in remarked.read_text()
     shutil.copytree(batch.folder, other := batch.folder.parent / "others")
     for ending in ("csv", "json", "html", "gpkg"):  # another batch's would lose the rows of this one
         name = f"{'out' if ending == 'csv' else 'more'}.{ending}"
@@ -530,6 +542,23 @@ def test_a_process_ends_also_if_a_library_swallows_the_stop(parks, monkeypatch):
     stand_in(monkeypatch, program)
     (row,) = many.run_many("estimate", [parks / "pictures/a.png"], EstimateRequest(fleet="DE"))
     assert row["exit_code"] == 1 and "was stopped" in row["error"]
+
+
+def test_no_process_goes_on_after_the_command_was_killed():
+    """As for want of memory: its jobs were finished nevertheless, and the next run found their outputs locked."""
+    child = (
+        "import os, signal, time; from orthoscale.actions import processes\n"
+        "processes.serve(lambda job: (os.kill(os.getppid(), signal.SIGKILL), time.sleep(40)))"
+    )
+    command = (
+        "import subprocess, sys\n"
+        "from orthoscale.detect.foreign_worker import send\n"
+        f"child = subprocess.Popen([sys.executable, '-c', {child!r}], stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "send(child.stdin, {'job': {'input': 'a', 'out': None}, 'memory': 1 << 30, 'log': 30})\n"
+        "child.wait()"
+    )
+    done = subprocess.run([sys.executable, "-c", command], stderr=subprocess.PIPE, timeout=30)  # ends with the child
+    assert done.returncode == -9 and not done.stderr
 
 
 def test_a_bug_in_a_process_is_one_line_of_its_row(parks, monkeypatch, capfd):

@@ -3,6 +3,7 @@ at all."""
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import os
@@ -27,9 +28,19 @@ from support.pictures import squares
 import orthoscale
 from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
+from orthoscale.formats.csv_table import write_csv
 from orthoscale.system import reserved, stopping
 from orthoscale.system.outputs import Outputs
-from orthoscale.system.signatures import FOLDER_MARK, ours, ours_in_a_folder, signature, was_changed
+from orthoscale.system.signatures import (
+    BLOCK_BYTES,
+    FOLDER_MARK,
+    ours,
+    ours_in_a_folder,
+    room,
+    signature,
+    was_changed,
+    written_in_metres,
+)
 from orthoscale.system.threads import Threads
 from orthoscale.system.untouched import existing
 
@@ -253,6 +264,14 @@ CONTENT = {
     "a.html": lambda path: path.write_text("<!doctype html><html></html>\n"),
     "a.png": png,
     "a.gpkg": geopackage,
+    "a.csv": lambda path: write_csv(path, ["a", "b"], [{"a": '1"', "b": "2\r\n3"}, {"a": "é", "b": None}]),
+    "none.csv": lambda path: write_csv(path, ["a", "b"], []),
+}
+SIGNED = {
+    "a.txt": lambda path: path.write_text(f"imagesource:{room(path)}\n"),
+    # The signature, or the CRC-32 after it, lies in two of the blocks that are read.
+    "two.txt": lambda path: path.write_text("a" * (BLOCK_BYTES - 20) + room(path) + "a" * BLOCK_BYTES),
+    "too.txt": lambda path: path.write_text("a" * (BLOCK_BYTES - 38) + room(path) + "a" * BLOCK_BYTES),
 }
 
 
@@ -273,15 +292,38 @@ def test_files_carry_a_mark_that_their_readers_do_not_mind(tmp_path, name):
     with pytest.raises(UsageError, match="already exists"):
         write_file(path)
     if name == "a.json":
-        assert json.loads(path.read_text()) == {"a": [{}], "written_by": signature(path)}
+        text = json.loads(path.read_text())
+        assert text.pop("written_by").startswith(signature(path)) and text == {"a": [{}]}
     elif name == "a.png":
         assert (cv2.imread(str(path)) == 90).all()
     elif name == "a.gpkg":
         from pyogrio import list_layers, read_info
 
         assert [layer for layer, _ in list_layers(path)] == ["places"] and read_info(path)["features"] == 1
+    elif name == "a.csv":
+        first, second = csv.DictReader(path.open(newline=""))
+        assert first.pop("written_by").startswith(signature(path)) and first == {"a": '1"', "b": "2\r\n3"}
+        assert second == {"a": "é", "b": "", "written_by": ""}
+    elif name == "none.csv":
+        assert path.read_text().startswith("a,b,") and len(path.read_text().splitlines()) == 1
     shutil.copy(path, tmp_path / f"mine{path.suffix}")
     assert not ours(tmp_path / f"mine{path.suffix}"), "a copy under another name is somebody's own"
+
+
+@pytest.mark.parametrize("name", [*SIGNED, *sorted(set(CONTENT) - {"a.gpkg"})])
+def test_a_file_that_was_edited_is_not_replaced(tmp_path, name):
+    """A table in which a value was corrected, say: it was lost."""
+    path = tmp_path / name
+    with Outputs() as outputs:
+        (SIGNED | CONTENT)[name](outputs.file(path))
+    written = path.read_bytes()
+    for place in {0, len(written) // 4, len(written) - 1} - {-1}:
+        path.write_bytes(written[:place] + bytes([written[place] ^ 1]) + written[place + 1 :])
+        assert not ours(path)
+        with pytest.raises(UsageError, match="(was changed since|was not written by) orthoscale"):
+            write_file(path, overwrite=True)
+    path.write_bytes(written)
+    assert ours(path)
 
 
 @pytest.mark.parametrize("make", ["empty", "full", "stranger", "copy", "damaged", "link"])
@@ -370,6 +412,15 @@ def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
     assert not ours(tmp_path / "a")
 
 
+@pytest.mark.parametrize("how", ["a pipe", "deep", "a list"])
+def test_a_mark_that_somebody_else_made_is_none(tmp_path, how):
+    """Marks are looked for in all folders above an input: that of /tmp is anybody's."""
+    mark = tmp_path / FOLDER_MARK
+    os.mkfifo(mark) if how == "a pipe" else mark.write_text("[" * 100_000 if how == "deep" else "[1]")
+    (tmp_path / "model").mkdir()
+    assert not written_in_metres(tmp_path / "model") and not ours(tmp_path)
+
+
 def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path):
     write_folder(tmp_path / "a", ("report.html", "other.html"))
     (tmp_path / "a/other.html").write_text("<!-- my notes -->")
@@ -378,6 +429,11 @@ def test_a_part_of_a_folder_may_be_replaced_alone_unless_it_was_changed(tmp_path
         outputs.file(tmp_path / "a/report.html", ours_in_a_folder).write_text("<html></html>")
     (tmp_path / "a/other.html").write_text("new")
     assert ours(tmp_path / "a"), "a report that was drawn again is signed itself"
+    with (tmp_path / "a/report.html").open("a") as page:
+        page.write("<!-- my notes -->")
+    with pytest.raises(UsageError, match="report.html was changed since"):
+        Outputs(overwrite=True).file(tmp_path / "a/report.html", ours_in_a_folder)
+    assert not ours(tmp_path / "a")
 
 
 def test_a_geopackage_that_was_edited_is_not_replaced(tmp_path):
@@ -971,13 +1027,18 @@ def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
     before = state(here)
     assert fixed(ortho, out, *ALL).returncode == 0
     first = set(names(here))
-    assert len(first) == 2 + 1 + 3 + 4 and all(
-        ours(here / name) for name in first if "out.tif" in name and "csv" not in name
-    )
+    assert len(first) == 2 + 1 + 3 + 4 and all(ours(here / name) for name in first if "out.tif" in name)
     (here / "out.tif.notes.txt").write_text("precious")
     (here / "out.json").write_text("precious")
     refused = fixed(ortho, out, *ALL)
     assert refused.returncode == 2 and "already exists" in refused.stderr
+    whole = state(here)
+    (here / "out.tif.html").write_text((here / "out.tif.html").read_text().replace("<body", "<body>My notes: <p"))
+    for more in ((), ("--report", "none")):  # the page would be lost, or speak of the new copy
+        refused = fixed(ortho, out, "--overwrite", *more)
+        assert refused.returncode == 2 and "out.tif.html was changed since orthoscale wrote it" in refused.stderr
+    (here / "out.tif.html").write_bytes(whole[Path("out.tif.html")])
+    assert state(here) == whole
     assert fixed(ortho, out, *ALL, "--overwrite").returncode == 0
     assert set(names(here)) == first | {"out.tif.notes.txt", "out.json"}
     assert fixed(ortho, out, "--overwrite", "--report", "none").returncode == 0

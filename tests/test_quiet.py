@@ -14,6 +14,7 @@ print("before", file=sys.stderr)
 with quiet.unheard():
     os.write(2, b"libpng warning: iCCP: known incorrect sRGB profile\\n")
     print("within", file=sys.stderr)
+    sys.excepthook(KeyboardInterrupt, KeyboardInterrupt("within a callback of rasterio's"), None)
     log = logging.StreamHandler()
 log.emit(logging.LogRecord("", logging.ERROR, "", 0, "a log begun within", (), None))
 os.write(2, b"after\\n")

@@ -1071,11 +1071,13 @@ def test_a_transparent_colour_stays_so(tmp_path, cog):
 
 
 @pytest.mark.parametrize("cog", [False, True])
-def test_the_longest_names_are_written(tmp_path, cog):
+def test_the_longest_names_are_written_and_read(tmp_path, cog):
     name = "n" * 251 + ".tif"
     with RasterSource.open(make(tmp_path / "a.tif")) as source:
         source.write(tmp_path / name, 0.1, cog=cog)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.tif", name]
+    with RasterSource.open(tmp_path / name) as copy:  # the name of its .aux.xml would be too long
+        assert copy.claimed.gsd_m == pytest.approx(0.1)
 
 
 def test_different_nodata_per_band_becomes_a_mask(tmp_path):

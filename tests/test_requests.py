@@ -247,6 +247,7 @@ def test_check_keeps_boxes_in_the_format_of_their_name(tmp_path):
         ({"projection": "mercator"}, "--projection mercator is not one of"),
         ({"zoom": "2"}, "--zoom takes a number, not '2'"),
         ({"zoom": -1.0}, "--zoom must be a positive number"),
+        ({"zoom": 1e-308}, "--zoom must be a positive number, from 1e-12 to 1e"),
         ({"target": float("nan")}, "--target must be a positive number"),
         ({"workers": 1.5}, "--workers takes a whole number"),
         ({"seed": -1}, "--seed must be 0 or more"),

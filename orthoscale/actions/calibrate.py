@@ -26,7 +26,7 @@ from ..detect.tiles import one_pass
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
-from ..option import listed, number
+from ..option import listed, positive
 from ..system.paths import path_of
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms relative to the detector's best; a vehicle must be found at all
@@ -59,9 +59,7 @@ def calibrate(
     """
     path = path_of(path, "the path of an orthophoto")
     detector = None if detector is None else path_of(detector, "the path of a network (.onnx)")
-    gsd = None if gsd is None else number("--gsd", gsd)
-    if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
-        raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd}")
+    gsd = None if gsd is None else positive("--gsd", gsd)
     raster = _orthophoto(path)
     gsd, notes = _known_gsd(raster, gsd)
     prior = load_fleet(fleet)

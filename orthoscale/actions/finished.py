@@ -12,7 +12,7 @@ from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..option import flag, options_in
 from ..report.extras import chosen
-from ..report.inputs import is_other_copy, replaced_inputs
+from ..report.inputs import replaced_inputs
 from ..report.stored import completed, read_json
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import ELSEWHERE, REPLACE
@@ -52,8 +52,7 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
         return None
     source = source_of(path, request, need_images=False)
     if why := _otherwise(source, out, request, report):
-        replaceable = ours(out) and not is_other_copy(report, out)
-        raise UsageError(f"{out} already exists, and {why}", REPLACE if replaceable else ELSEWHERE)
+        raise UsageError(f"{out} already exists, and {why}", REPLACE if ours(out) else ELSEWHERE)
     return report, source
 
 
@@ -72,10 +71,10 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
         return f"{source.path}{', or the dense cloud of its ground,' * (source.posed is not None)} has changed since"
     if why := replaced_inputs(report, source, request.inputs):
         return f"its {why}"
-    if is_other_copy(report, out) or was_changed(out):
+    if was_changed(out) if out.is_dir() else not ours(out):
         return f"{out} has changed since it was made"
     written = _place(out).stat().st_mtime
-    if (part := _later(_copied(out), written)) is not None:
+    if out.is_dir() and (part := _later(_copied(out), written)) is not None:
         return f"{part} has changed since it was made"
     beside = [file for file in source.files if file != source.path] if source.plan is not None else []
     if (file := _later([*beside, *request.inputs], written)) is not None:  # of which the report has no hash
@@ -85,9 +84,7 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
 
 
 def _copied(out: Path) -> list[Path]:
-    """The files of the copy itself. The report's JSON is written after them, its page and picture after that."""
-    if not out.is_dir():
-        return [out]
+    """The files of a model's copy. The report's JSON is written after them, its page and picture after that."""
     of_report = report_paths(out, True, "html").values()
     return [path for path in out.iterdir() if path.is_file() and path.name[0] != "." and path not in of_report]
 

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.source import Plan, PosedSet, Source
-from ..errors import Incomplete, InputError, MetricAlready, UsageError
+from ..errors import Incomplete, MetricAlready, UsageError
 from ..formats.detections import check_name
 from ..formats.pictures import PICTURES
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
-from ..report.inputs import is_other_copy
 from ..report.result import Result
-from ..report.stored import read_json
 from ..requests import FixRequest
-from ..sources.fingerprint import glance
 from ..sources.opening import AN_INPUT
 from ..sources.raster import RasterSource
-from ..system.outputs import ELSEWHERE, Outputs
+from ..system.outputs import Outputs
 from ..system.paths import path_of
-from ..system.signatures import CHANGED
 from .estimate import measured, noted
 from .kept_boxes import KeptBoxes
 from .opening import source_of
@@ -86,7 +81,6 @@ def written(
                 result.require_useful()
         result = replace(result, settings=request.without(("overwrite",)).settings(), given=request.inputs)
         writer.write(begun.main, result)
-        result = replace(result, copied=glance(begun.main) if begun.main.is_file() else None)
         # The copy is verified: it stays even if something fails from here on.
         write_report(result, begun.parts, outputs.attempt)
         writer.write_more(result, outputs)
@@ -134,7 +128,6 @@ def _begin(
         # Check the name first: an existing file matters only if its name is one that could be written.
         RasterSource.check_name(out)
     outputs.check(out)
-    _refuse_edited(out)
     if save_detections is not None:
         check_name(save_detections)
         outputs.check(save_detections)
@@ -151,15 +144,6 @@ def _begin(
     boxes.check(source)
     outputs.protect(*source.files, *writer.more_inputs)
     return _Begun(source, writer, main, parts, boxes)
-
-
-def _refuse_edited(out: Path) -> None:
-    """Raise UsageError if the report beside the orthophoto `out`, which is to be replaced, tells that it was changed
-    since."""
-    with suppress(InputError):
-        report = read_json(report_paths(out, False, "json")["json"])
-        if is_other_copy(report, out):
-            raise UsageError(f"{out} {CHANGED}, so it is not replaced", ELSEWHERE)
 
 
 def report_paths(out: Path, in_folder: bool, report: str) -> dict[str, Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import Source
 from ..errors import TooLittleEvidence, UsageError
+from ..option import positive
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.stored import write_json
@@ -109,8 +109,7 @@ def list_anchors(
         wanted = Wanted(request.anchors, own, country, effort, progress, footing)
         found = look_for_anchors(result.source, by_vehicles, wanted)
         return AnchorList(result.source, found, by_vehicles.value, by_vehicles)
-    if not (scale > 0 and math.isfinite(scale)):
-        raise UsageError(f"--scale must be a positive number, not {scale}")
+    scale = positive("--scale", scale)
     request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")
     source = source_of(path, request, progress=progress)
     request.check_for(source)

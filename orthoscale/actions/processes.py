@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import suppress
 from importlib import import_module
 from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 from ..detect.foreign_worker import receive, send
@@ -26,6 +29,8 @@ from ..system.threads import Threads
 
 BUG = 1
 """Exit code of an input that met a bug of orthoscale, or whose process died."""
+
+LOOK_AFTER = 0.5  # [s] between two looks whether the parent process is there
 
 Job = dict[str, Any]
 """Plain values. Known here are only input, which names it, and out, where its copy goes (None without one)."""
@@ -152,6 +157,7 @@ def serve(do: Do) -> None:
     logging.getLogger().addHandler(logging.NullHandler())
     logging.getLogger("orthoscale").addHandler(talk)
     with suppress(EOFError, OSError, KeyboardInterrupt), stopping.listening():
+        Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
         while True:
             head, _ = receive(requests)
             logging.getLogger("orthoscale").setLevel(head["log"])
@@ -163,6 +169,14 @@ def serve(do: Do) -> None:
                 send(answers, {**_died(job, "was stopped"), "output": there})
                 raise
             send(answers, row)
+
+
+def _end_with(parent: int) -> None:
+    """Stop this process when the process `parent` has ended: one that was killed could not say so, and the job would go
+    on, its output locked, for as long as it takes."""
+    while os.getppid() == parent:
+        time.sleep(LOOK_AFTER)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":

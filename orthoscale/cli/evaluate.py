@@ -122,7 +122,7 @@ def evaluate(
     with Outputs(overwrite, (path, satellite, lens_file, how.inputs)) as files, progress_bars() as progress:
         for output in outputs:
             check_ending(output, (".json", ".csv"))
-        partials = [files.file(output, report.known(output, locate)) for output in outputs]
+        partials = [files.file(output) for output in outputs]
         saved = boxes.PhotoBoxes(files, save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]

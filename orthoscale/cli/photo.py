@@ -79,7 +79,7 @@ def photo(
     with Outputs(overwrite, (paths, lens["lens_file"], how.inputs)) as files, progress_bars() as progress:
         for path in outputs:
             tables.check_ending(path)
-        partials = [files.file(path, tables.known(path)) for path in outputs]
+        partials = [files.file(path) for path in outputs]
         boxes = PhotoBoxes(files, save_detections)
         made = survey.surveyed(paths, how, together, progress, boxes, **lens)
         outcomes, pooled = made.outcomes, made.together

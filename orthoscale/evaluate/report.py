@@ -17,13 +17,10 @@ from ..errors import InputError, TooLittleEvidence
 from ..formats.csv_table import write_csv
 from ..formats.names import json_in_utf8
 from ..photos.depth.maps import Depths
-from ..system.signatures import has_header
 from ..version import __version__
 from . import score
 from .methods import BY_DEPTH, EXACT, METHODS, by_depth
 from .readers import Sample, read_samples
-
-LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `evaluate.locating`
 
 
 def samples_of(
@@ -86,16 +83,6 @@ def document(
     if sensitivity:
         text["sensitivity"] = score.sensitivity(samples, found, fleet, METHODS, step("Wrong geometry"))
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
-
-
-def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
-    """A test whether an existing table was written by orthoscale, if the format of `path` has no room for a signature;
-    else None. See `Outputs.file`.
-
-    locate : whether it is a table of `evaluate.locating`.
-    """
-    tables = [LOCATED_COLUMNS] if locate else [score.columns(methods) for methods in (METHODS, (*METHODS, BY_DEPTH))]
-    return (lambda place: any(has_header(place, each) for each in tables)) if path.suffix.lower() == ".csv" else None
 
 
 def write(text: dict[str, Any], path: Path) -> None:

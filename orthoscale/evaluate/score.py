@@ -121,12 +121,6 @@ def sensitivity(
     return lines
 
 
-def columns(methods: Iterable[str]) -> list[str]:
-    """The keys of `photo_rows`."""
-    each = ("m", "low_m", "high_m", "vehicles")
-    return ["photo", "region", "altitude_m", "pitch_deg", *(f"{method}_{what}" for method in methods for what in each)]
-
-
 def photo_rows(rows: Sequence[Scored]) -> list[dict[str, Any]]:
     """A line per photo: the truth, and for each method the altitude, its interval and the number of vehicles used."""
     lines = []

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..core.normal import Z90
 from ..core.progress import Progress
-from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
+from ..errors import InputError, OrthoscaleError, TooLittleEvidence
+from ..option import positive
 from ..photos.looking import Looking, boxes_of
 from ..photos.measure import Interval90, PhotoScale, measure
 from ..photos.photo import GivenCamera, Photo, open_photo, open_sound_photo
@@ -88,8 +89,7 @@ def claimed_scales(
 
     Raises UsageError; InputError where none of the photos can be read.
     """
-    if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
-        raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd:g}")
+    gsd = None if gsd is None else positive("--gsd", gsd)
     photos: list[Photo] = []
     found: dict[str, ClaimedScale | OrthoscaleError] = {}
     for name, path in paths.items():

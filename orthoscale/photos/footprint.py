@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.progress import Progress
 from ..errors import TooLittleEvidence
+from ..option import positive
 from ..sources.picture_file import PictureFile
 from ..sources.tags import read_tags
 from .looking import Looking, boxes_of
@@ -37,6 +38,7 @@ def footprint_of(
     Raises InputError, UsageError, TooLittleEvidence.
     """
     if gsd is not None:
+        gsd = positive("--gsd", gsd)
         tags = read_tags(path)
         picture = PictureFile(path.name, path, tags.width, tags.height)
         return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})

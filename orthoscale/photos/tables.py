@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from ..formats.csv_table import write_csv
 from ..formats.degrees import WGS_84, about_meridian
 from ..formats.names import json_in_utf8
 from ..formats.vector import write_layer
-from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
 from .measure import Interval90, PhotoScale
 from .photo import Photo
@@ -122,13 +121,6 @@ def check_ending(path: Path, formats: Sequence[str] = TABLE_SUFFIXES) -> None:
     """Raises UsageError for a name whose ending is none of `formats`."""
     if path.suffix.lower() not in formats:
         raise UsageError(f"{path.name} is not one of {', '.join(formats)}", "The file's ending sets its format.")
-
-
-def known(path: Path) -> Callable[[Path], bool] | None:
-    """A test whether an existing table was written by orthoscale, if the format of `path` has no room for a signature;
-    else None. See `Outputs.file`."""
-    columns = list(row(PhotoOutcome("", None, None)))
-    return (lambda place: has_header(place, columns)) if path.suffix.lower() == ".csv" else None
 
 
 def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path) -> None:

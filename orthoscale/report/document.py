@@ -83,7 +83,6 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "frame_bytes": {name: size for name, (size, _) in frames.items()},
         "frame_crc32": {name: crc for name, (_, crc) in frames.items()},
         "other_files": other_files(source, of.given),
-        "copy": None if of.copied is None else [*of.copied],
         "pixel_aspect": 1.0 if source.plan is None else source.claimed.aspect,
         "versions": _versions(),
         "created": of.created.isoformat(timespec="seconds"),

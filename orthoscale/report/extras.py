@@ -14,7 +14,7 @@ from ..core.source import Placement, Plan
 from ..errors import InputError
 from ..formats.csv_table import write_csv
 from ..sources.gdal import open_dataset, reading
-from ..system.signatures import has_header, ours, signature
+from ..system.signatures import ours, room
 from .geo import check_on_earth, write_geojson, write_geopackage
 from .result import Result
 
@@ -66,7 +66,7 @@ def write_scale_file(result: Result, place: Placement, path: Path) -> None:
     low, high = result.scale.interval90
     path.write_text(
         f"{result.scale.value:.17g}  # {result.scale.unit}, 90 % from {low:.6g} to {high:.6g}, "
-        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {signature(path)}\n",
+        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {room(path)}\n",
         encoding="utf-8",
         errors="backslashreplace",  # the fleet's name may be that of its file
     )
@@ -94,16 +94,12 @@ def write_tiles(result: Result, place: Placement, path: Path) -> None:
     write_csv(path, TILE_COLUMNS, rows)
 
 
-def _is_of_tiles(out: Path, path: Path) -> bool:
-    return has_header(path, TILE_COLUMNS)
-
-
 WRITERS = {
     "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file, _says_the_same),
     "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
     "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
     "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson, check=check_on_earth),
-    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles, _is_of_tiles),
+    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles),
 }
 
 

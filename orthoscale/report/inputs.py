@@ -45,8 +45,3 @@ def replaced_inputs(report: Mapping[str, Any], source: Source, given: Sequence[P
     known = report.get("other_files") or {}  # not in reports of older versions
     files = [name for name, now in other_files(source, given).items() if known.get(name, now) != now]
     return f"files have changed since: {first_few(files)}" if files else ""
-
-
-def is_other_copy(report: Mapping[str, Any], out: Path) -> bool:
-    """Whether the orthophoto's copy at `out` is not as it was when its `report` was written. Raises InputError."""
-    return report.get("copy") is not None and out.is_file() and [*glance(out)] != report["copy"]

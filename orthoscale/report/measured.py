@@ -24,7 +24,7 @@ class MeasuredSource:
 
     seconds : duration. settings : the options as plain values, to repeat the measurement. anchors : those that were
     found. on_map : where the source lies on the map of --against. given : the files and folders that the options name.
-    copied : the `glance` of an orthophoto's copy. created : when it was measured, which all its reports say alike.
+    created : when it was measured, which all its reports say alike.
     """
 
     source: Source
@@ -37,7 +37,6 @@ class MeasuredSource:
     anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
     on_map: OnMap = field(default_factory=OnMap, repr=False)
     given: Sequence[Path] = ()
-    copied: tuple[int, int] | None = None
     created: datetime = field(default_factory=lambda: datetime.now(UTC), repr=False, compare=False)
 
     @property

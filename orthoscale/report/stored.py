@@ -54,7 +54,6 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("frame_bytes",): {},
     ("frame_crc32",): {},
     ("other_files",): {},
-    ("copy",): None,
     ("pixel_aspect",): 1.0,
     ("versions",): {},
     ("created",): "",

@@ -22,12 +22,13 @@ from ..formats.degrees import WGS_84
 from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
 from ..system.paths import titles_of
-from ..system.signatures import has_header, ours
+from ..system.signatures import is_signed
 from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
 SUMMARY_LAYER = "orthoscale"
-MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"'}  # texts that no other output has
+# Texts that no other output has.
+MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"', ".csv": "input,exit_code,"}
 
 # The columns of a summary, with their meaning; values are None where unknown. Intervals are 90 %.
 COLUMNS = {
@@ -63,16 +64,16 @@ def check_summary(path: Path) -> None:
 def is_summary(path: Path) -> bool:
     """Whether `path` is a summary that orthoscale wrote in the format of its ending, and not another output of it, such
     as the report of a copy."""
-    if path.suffix.lower() == ".csv":
-        return has_header(path, COLUMNS)
-    return ours(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
+    return is_signed(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
 
 
 def inputs_in(path: Path) -> set[str] | None:
-    """The inputs in the summary `path`, as `in_utf8` writes them; None if it is damaged."""
+    """The inputs in the summary `path`, as `in_utf8` writes them; None if it is damaged or no file."""
+    if not path.is_file():  # a pipe would be waited for
+        return None
     try:
         return set(map(in_utf8, SUMMARY_READERS[path.suffix.lower()](path)))
-    except (OSError, ValueError, KeyError, TypeError, sqlite3.Error):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error, sqlite3.Error):
         return None
 
 

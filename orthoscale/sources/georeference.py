@@ -18,6 +18,7 @@ from rasterio.transform import Affine, from_gcps
 from ..core.affine import transformed
 from ..errors import InputError
 from ..formats.degrees import near_on_map, to_degrees
+from ..formats.reading import is_there
 from .gdal import open_dataset, read_projection
 
 LINE = 1e-6  # width over length up to which points count as lying on a line
@@ -125,7 +126,7 @@ def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
     """Other pixel sizes, in words, if a TIFF or JPEG 2000 file and the files beside it contradict each other; within
     `guarded`. GDAL takes ``.aux.xml`` first, then the file, then the world file."""
     beside = {"PAM": (f"{path.name}.aux.xml",), "INTERNAL": (path.name,), "WORLDFILE": _world_files(path)}
-    there = {source: [n for n in names if path.with_name(n).is_file()] for source, names in beside.items()}
+    there = {source: [n for n in names if is_there(path.with_name(n))] for source, names in beside.items()}
     if dataset.driver not in ("GTiff", "JP2OpenJPEG") or not claim.usable or not (there["PAM"] or there["WORLDFILE"]):
         return []
     said = []

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import SMALL, read, read_text, reason
+from ..option import positive
 from .tags import Tags
 
 if TYPE_CHECKING:
@@ -56,8 +57,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     if lens_file is not None:
         return Lens(_resized(read_calibration(lens_file), size, lens_file), CALIBRATED_SD, f"from {lens_file}")
     if focal_px is not None:
-        if not (math.isfinite(focal_px) and focal_px > 0):
-            raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
+        focal_px = positive("--focal-px", focal_px)
         return Lens(brown(size, focal_px, focal_px), FOCAL_TOLD_SD, "given")
     share, whole = _share(tags)
     nominal = _nominal(tags, share, whole)

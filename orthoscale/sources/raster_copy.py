@@ -23,7 +23,7 @@ from rasterio.windows import Window
 from ..core.source import Placement
 from ..errors import OutputError, shown
 from ..formats.names import in_utf8
-from ..system.signatures import signature
+from ..system.signatures import room
 from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
 
 _STRIP = 256  # [px] height of the strips in which whole images are read, and side of the tiles that are written
@@ -68,7 +68,7 @@ class Original:
                 with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
                     self._restore_properties(copy)
                     copy.crs, copy.transform = place.crs, place.transform
-                    copy.update_tags(WRITTEN_BY=signature(path), **({SCALE_TAG: in_utf8(said)} if said else {}))
+                    copy.update_tags(WRITTEN_BY=room(path), **({SCALE_TAG: in_utf8(said)} if said else {}))
                 if cog:
                     self._optimise(plain, path)
                 # It would hold what a GeoTIFF cannot, and would be lost when the file is renamed.

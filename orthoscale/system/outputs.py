@@ -19,7 +19,7 @@ from types import TracebackType
 from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, UsageError, shown
 from . import stopping
 from .reserved import Reserved, identity, writing
-from .signatures import why_not_ours
+from .signatures import CHANGED, why_not_ours
 from .untouched import existing, inside, refuse_input
 
 ELSEWHERE = "Choose another place, or delete it yourself."
@@ -65,8 +65,11 @@ class Outputs:
 
     def retire(self, path: Path, mine: Callable[[Path], bool] | None = None) -> None:
         """Remove at the end an older output of orthoscale at `path`, which would be taken for a part of the new one;
-        files of others stay."""
-        if self.overwrite and os.path.lexists(path) and not why_not_ours(path, mine):
+        files of others stay. Raises UsageError for one that was edited."""
+        why = why_not_ours(path, mine) if self.overwrite and os.path.lexists(path) else None
+        if why == CHANGED:
+            raise UsageError(f"{path} {why}, and would be taken for a part of the new output", "Move it away.")
+        if why == "":
             self._claim(path, mine, folder=path.is_dir()).retired = True
 
     def protect(self, *inputs: Path) -> None:

@@ -39,8 +39,9 @@ def unheard() -> Iterator[None]:
     except OSError:  # standard error is closed
         yield
         return
-    python, unraisable = sys.stderr, sys.unraisablehook
-    sys.unraisablehook = lambda _: None  # of a library's callback, such as rasterio's for GDAL's log
+    python, unraisable, uncaught = sys.stderr, sys.unraisablehook, sys.excepthook
+    # Of a library's callback, such as rasterio's for GDAL's log: Cython calls both. What else is raised here is caught.
+    sys.unraisablehook, sys.excepthook = lambda _: None, lambda *_: None
     if _is_the_descriptor(python):
         # Not closed at the end: logging handlers keep a reference to it.
         sys.stderr = open(kept, "w", buffering=1, encoding=python.encoding, errors=python.errors)  # noqa: SIM115
@@ -51,7 +52,7 @@ def unheard() -> Iterator[None]:
         yield
     finally:
         os.dup2(kept, 2)
-        sys.unraisablehook = unraisable
+        sys.unraisablehook, sys.excepthook = unraisable, uncaught
         if sys.stderr is python:
             os.close(kept)
         else:

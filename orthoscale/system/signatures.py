@@ -1,7 +1,7 @@
 """Marks what orthoscale writes, to recognise it later: a signature in each file, a mark in each folder.
 
-Only outputs of orthoscale may be replaced. A signature depends on the file's own name, so that a user's working copy
-under another name is not taken for an output.
+Only outputs of orthoscale may be replaced, as long as nobody edited them. A signature depends on the file's own name,
+so that a user's working copy under another name is not taken for an output; after it stands the CRC-32 of the rest.
 """
 
 from __future__ import annotations
@@ -9,15 +9,16 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import mmap
 import os
 import re
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from functools import cache
+from itertools import chain, repeat
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from ..version import __version__
 from .paths import homes
@@ -25,7 +26,9 @@ from .paths import homes
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
 CHANGED = "was changed since orthoscale wrote it"
 OF_ROWS = "type = 'table' AND name NOT LIKE 'rtree%' AND name NOT LIKE 'sqlite%'"  # of tables with rows of their own
-LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
+NOT_SUMMED = "0" * 8  # in place of the CRC-32 [hex] while a file is written
+PNG_TEXT = b"tEXtSoftware\0"  # type and keyword of the chunk that signs a PNG
+BLOCK_BYTES = 1 << 20  # [byte] that are read at once
 
 
 def signature(path: str | Path) -> str:
@@ -35,20 +38,20 @@ def signature(path: str | Path) -> str:
     return "orthoscale output " + hashlib.blake2b(name, digest_size=8).hexdigest()
 
 
+def room(path: Path) -> str:
+    """The signature for a file that is being written at `path`, with room for the CRC-32, which `sign_file` adds."""
+    return f"{signature(path)} {NOT_SUMMED}"
+
+
 def ours(path: Path) -> bool:
     """Whether orthoscale wrote `path`: a file, or a folder with nothing else in it."""
     return not why_not_ours(path)
 
 
 def ours_in_a_folder(path: Path) -> bool:
-    """Whether orthoscale wrote `path`, as a single file or as a part of the folder that it lies in."""
-    return ours(path) or _is_as_written(path, _listed(path.absolute().parent) or {}, path.name)
-
-
-def has_header(path: Path, columns: Iterable[str]) -> bool:
-    """Whether `path` is a CSV table with exactly these columns; CSV has no room for a signature."""
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        return next(csv.reader([file.readline(LONGEST_CSV_HEADER)]), []) == list(columns)
+    """Whether orthoscale wrote `path`, as a single file, edited since or not, or as a part of the folder that it lies
+    in."""
+    return is_signed(path) or _is_as_written(path, _listed(path.absolute().parent) or {}, path.name)
 
 
 def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
@@ -60,8 +63,8 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
     if path.is_dir():
         return _why_not_our_folder(path)
     try:
-        known = mine(path) if mine else _signed(path)
-        changed = known and path.suffix.lower() == ".gpkg" and _is_edited(path)
+        known = mine(path) if mine else is_signed(path)
+        changed = known and _is_edited(path)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
@@ -96,13 +99,23 @@ def _not_ours(folder: Path) -> Iterator[tuple[str, bool]]:
 def _listed(folder: Path) -> dict[str, str | None] | None:
     """The files that the mark of `folder` lists, each with its `_state` when it was written, None in folders of older
     versions; None if it has no mark for a folder of this name."""
+    mark = _mark(folder)
     try:
-        mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
         files = mark["files"] if isinstance(mark["files"], dict) else dict.fromkeys(mark["files"])
         listed = {name: None if state is None else str(state) for name, state in files.items()}
         return listed if mark["written_by"] == signature(folder.absolute()) else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return None
+
+
+def _mark(folder: Path) -> dict[str, Any]:
+    """The mark of `folder`, which may be anybody's, such as that of /tmp; {} if there is none that can be read."""
+    path = folder / FOLDER_MARK
+    try:
+        mark = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}  # a pipe would be waited for
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return mark if isinstance(mark, dict) else {}
 
 
 def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
@@ -119,19 +132,16 @@ def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
 def _state(path: Path) -> str:
     """Size [byte], time of change [ns] and CRC-32 of a file; of a GeoPackage that of what it says, since QGIS changes
     its bytes by opening it."""
-    crc = 0
     with path.open("rb") as file:
-        there = os.fstat(file.fileno())
-        while block := file.read(1 << 20):
-            crc = zlib.crc32(block, crc)
+        there, crc = os.fstat(file.fileno()), _crc(file)
     if path.suffix.lower() == ".gpkg":
         with suppress(sqlite3.Error):
             crc = _said(path)
-    return f"{_stamp(there)}{crc:08x}"
+    return f"{_stamp(there)}{crc}"
 
 
-def _said(path: Path, signed: str = "", plain: str = "") -> int:
-    """CRC-32 of the rows of the GeoPackage `path`, its index apart, with `plain` where they have `signed`. Raises
+def _said(path: Path, signed: str = "", plain: str = "") -> str:
+    """CRC-32 [hex] of the rows of the GeoPackage `path`, its index apart, with `plain` where they have `signed`. Raises
     sqlite3.Error."""
     crc = 0
     with closing(_opened(path)) as database:
@@ -139,7 +149,7 @@ def _said(path: Path, signed: str = "", plain: str = "") -> int:
         for (name,) in tables:
             for row in database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""'))):
                 crc = zlib.crc32(ascii((name, *row)).replace(signed, plain).encode(), crc)
-    return crc
+    return f"{crc:08x}"
 
 
 def _opened(path: Path) -> sqlite3.Connection:
@@ -148,14 +158,23 @@ def _opened(path: Path) -> sqlite3.Connection:
 
 
 def _is_edited(path: Path) -> bool:
-    """Whether the signed GeoPackage `path` says something else than when it was signed, as far as its signature
-    tells."""
+    """Whether the file says something else than when it was signed, as far as its signatures tell: it may also have
+    former ones, as a TIFF has in former directories."""
+    if path.suffix.lower() == ".gpkg":
+        return _is_edited_geopackage(path)
+    with path.open("rb") as file:
+        sums = _sums(file, path)
+        return bool(sums) and all(crc != _crc(file, place) for place, crc in sums.items())
+
+
+def _is_edited_geopackage(path: Path) -> bool:
+    """Whether the GeoPackage says something else than when it was signed, which its description tells."""
     text = signature(path)
     try:
         with closing(_opened(path)) as database:
             told = "\n".join(value or "" for (value,) in database.execute("SELECT description FROM gpkg_contents"))
         found = re.search(f"{text} ([0-9a-f]{{8}})", told)
-        return found is not None and int(found[1], 16) != _said(path, found[0], text)
+        return found is not None and found[1] != _said(path, found[0], text)
     except sqlite3.Error:
         return False
 
@@ -181,10 +200,10 @@ def written_in_metres(path: Path) -> bool:
     folder says, which may have been renamed since."""
     for place in homes(path):
         for folder in (place, *place.parents):
+            mark = _mark(folder)
             try:
-                mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
                 files = [folder / name for name in mark["files"]] if mark["metres"] is True else []
-            except (OSError, ValueError, KeyError, TypeError):
+            except (KeyError, TypeError):
                 continue
             if any(file.is_relative_to(place) and file.exists() for file in files):
                 return True
@@ -200,28 +219,58 @@ def sign_folder(folder: Path, metres: bool = False) -> None:
     (folder / FOLDER_MARK).write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
 
 
-def _signed(path: Path) -> bool:
+def is_signed(path: Path) -> bool:
+    """Whether the file has the signature of its name, edited since or not."""
     with path.open("rb") as file:
-        if not os.fstat(file.fileno()).st_size:
-            return False
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            return content.find(signature(path).encode()) >= 0
+        return bool(_sums(file, path))
+
+
+def _sums(file: BinaryIO, path: Path) -> dict[int, str]:
+    """The CRC-32 that stands after each signature of the name of `path`, by its place in the file [byte]."""
+    text = signature(path).encode()
+    places, before, content = [], file.seek(0), b""
+    while block := file.read(BLOCK_BYTES):
+        kept = content[len(content) - len(text) + 1 :]
+        before += len(content) - len(kept)
+        content = kept + block
+        places += [before + found.end() + 1 for found in re.finditer(text, content)]
+    sums = {}
+    for place in places:
+        file.seek(place)
+        sums[place] = file.read(len(NOT_SUMMED)).decode("latin-1")
+    return sums
+
+
+def _crc(file: BinaryIO, place: int | None = None) -> str:
+    """CRC-32 [hex] of a file, without the one that stands at `place`; in a PNG, nor the one of the chunk it is in."""
+    start, end = 0, 0
+    if place is not None:
+        file.seek(0)
+        start, end = place, place + len(NOT_SUMMED) + 4 * file.read(4).startswith(b"\x89PNG")
+    crc, here = 0, file.seek(0)
+    while block := file.read(BLOCK_BYTES):
+        crc = zlib.crc32(block[max(0, end - here) :], zlib.crc32(block[: max(0, start - here)], crc))
+        here += len(block)
+    return f"{crc:08x}"
 
 
 def sign_file(path: Path) -> None:
-    """Sign a file as its format allows, which its first bytes show: a JSON object, HTML, PNG or GeoPackage."""
-    text = signature(path)
+    """Sign a file as its format allows: a GeoPackage, PNG, JSON object or HTML, which its first bytes show, or CSV. Of
+    others the writer has left `room`, or they remain unsigned."""
+    text = room(path)
+    if path.suffix.lower() == ".csv":
+        _sign_table(path, text)
     with path.open("r+b") as file:
         start = file.read(16).lstrip()
         if start.startswith(b"SQLite format 3"):
-            _sign_geopackage(path, text)
+            _sign_geopackage(path)
+            return
         elif start.startswith(b"\x89PNG"):
             end = file.seek(-12, os.SEEK_END)  # before IEND
             last = file.read()
             file.seek(end)
-            content = b"tEXtSoftware\0" + text.encode()
-            crc = zlib.crc32(content).to_bytes(4, "big")
-            file.write((len(content) - 4).to_bytes(4, "big") + content + crc + last)
+            content = PNG_TEXT + text.encode()
+            file.write((len(content) - 4).to_bytes(4, "big") + content + bytes(4) + last)
         elif start.startswith(b"{"):
             tail = file.seek(max(-64, -os.fstat(file.fileno()).st_size), os.SEEK_END)
             tail += file.read().rindex(b"}")
@@ -230,13 +279,29 @@ def sign_file(path: Path) -> None:
         elif start.startswith(b"<"):
             file.seek(0, os.SEEK_END)
             file.write(f"<!-- {text} -->\n".encode())
+        place = next((place for place, crc in _sums(file, path).items() if crc == NOT_SUMMED), None)
+        if place is not None:
+            crc = _crc(file, place)
+            file.seek(place)
+            file.write(crc.encode())
+            if start.startswith(b"\x89PNG"):
+                file.write(zlib.crc32(PNG_TEXT + f"{signature(path)} {crc}".encode()).to_bytes(4, "big"))
 
 
-def _sign_geopackage(path: Path, text: str) -> None:
+def _sign_table(path: Path, text: str) -> None:
+    """Sign a CSV in a column of its own, in the first row; in a table without rows, in its header."""
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        cells = chain(["written_by", text] if rows else [text], repeat(""))
+        csv.writer(file).writerows([*row, cell] for row, cell in zip([header, *rows], cells, strict=False))
+
+
+def _sign_geopackage(path: Path) -> None:
     """Append the signature, and the CRC-32 of what the file then says, to the description of the first table, which is
     free text."""
-    _describe(path, text)
-    _describe(path, f"{_said(path):08x}")
+    _describe(path, signature(path))
+    _describe(path, _said(path))
 
 
 def _describe(path: Path, more: str) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.boxes import Boxes
 from ...errors import InputError, UsageError, shown
-from ...system.signatures import signature
+from ...system.signatures import room
 from ..reading import read_text
 from .items import Item, short_name
 
@@ -68,7 +68,7 @@ def names_in_text(named: Iterable[str], pictures: Sequence[str]) -> list[str]:
 
 def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> None:
     """Write a results file, which keeps scores and picture names. Raises UsageError for names with spaces."""
-    lines = [f"imagesource:{signature(path)}"]
+    lines = [f"imagesource:{room(path)}"]
     for name, found in zip(names_in_text(boxes, pictures), boxes.values(), strict=True):
         for corners, score in zip(found.corners, found.score, strict=True):
             lines.append(f"{name} {score:.4f} " + " ".join(f"{v:.3f}" for v in corners.ravel()))

@@ -148,7 +148,6 @@ class Report(Explained, kw_only=True):
     frame_bytes: dict[str, Count] = {}
     frame_crc32: dict[str, Count] = {}
     other_files: dict[str, tuple[Count, Count]] = {}
-    copy: tuple[Count, Count] | None = None
     pixel_aspect: Positive = 1.0
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
