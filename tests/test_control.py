@@ -95,7 +95,7 @@ def test_ground_control_gives_an_orthophoto_its_scale(boxes, tmp_path):
     result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=control)
     assert result.scale.value == pytest.approx(GSD, rel=0.002) and result.scale.verdict == "good"
     control.write_text("0,0 400000 5800000\n1000,0 400085\n")
-    with pytest.raises(InputError, match="control.txt, line 2: 1 coordinates"):
+    with pytest.raises(InputError, match="control.txt, line 2: 1 coordinate in metres"):
         orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=control)
     with pytest.raises(InputError, match="cannot be read"):
         orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=tmp_path / "none.txt")
