@@ -15,12 +15,13 @@ SIZE = (4.5, 1.8)
 HEIGHT = 60.0
 
 
-def boxes(lower, seed=0, vehicles=20, frames=9, noise=0.08, middle=MIDDLE * SIZE[0]):
+def boxes(lower, seed=0, vehicles=20, frames=9, noise=0.08, middle=MIDDLE * SIZE[0], spot=None):
     """Places of boxes on a sheet that lies `lower` (vehicles,) above the ground on which the vehicles stand [m]."""
     rng = np.random.default_rng(seed)
     cameras = np.stack(np.meshgrid(*[np.linspace(-25, 25, 3)] * 2), -1).reshape(-1, 2)[:frames]
     # Side by side in rows, as parked vehicles stand: neighbours may be taken for one another.
-    spot = np.stack([2.6 * (np.arange(vehicles) % 10), 12.0 * (np.arange(vehicles) // 10)], -1)
+    if spot is None:
+        spot = np.stack([2.6 * (np.arange(vehicles) % 10), 12.0 * (np.arange(vehicles) // 10)], -1)
     vehicle, frame = np.nonzero(rng.random((vehicles, frames)) < 0.7)
     foot = cameras[frame]
     above = HEIGHT - lower[vehicle]  # of the camera over the sheet
@@ -62,6 +63,18 @@ def test_where_it_differs_from_place_to_place():
     error = stands.lower - lower[vehicle] / above
     assert np.sqrt(np.mean(error**2)) < 0.012
     assert np.sqrt(np.mean((error / stands.sd) ** 2)) < 2
+
+
+@pytest.mark.parametrize("height", [-10.0, -6.0])
+def test_vehicles_on_a_deck_beside_others_on_the_ground(height):
+    """Neither are taken for traffic, for mistakes, or for standing on the level of the others."""
+    deck = np.arange(40) >= 20
+    spot = np.random.default_rng(1).uniform((-30, -30), (30, -5), (40, 2)) + deck[:, None] * (0, 35)
+    lower = np.where(deck, height, 0.0)
+    place, foot, above, picture, vehicle = boxes(lower, vehicles=40, spot=spot)
+    stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.15), shown(place))
+    error = stands.lower - lower[vehicle] / above
+    assert abs(np.median(error[deck[vehicle]])) < 0.01 and abs(np.median(error[~deck[vehicle]])) < 0.01
 
 
 def test_a_sheet_that_is_known_well_is_hardly_moved():

@@ -25,6 +25,7 @@ from .footing import GROUND_SD, Footing
 # at 60 m. As far above it, too: where the sheet lies on the ground, vehicles may stand on a parking deck or a bridge.
 LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.25, 0.005
 COINCIDING = 0.3  # of a vehicle's width: sigma of the Gaussian score of how well two places coincide
+UNMATCHED = 0.5  # score of a box below which none of another frame coincides with it
 CLEARLY = 1.2, 2.0  # factor and number of pairs by which the score must exceed that of the default depth
 FEWEST_STANDING = 3  # vehicles seen in several frames; fewer are not used
 BOX_SD = 0.05  # least error of the centre of a vehicle's box from view to view, one sigma, of the vehicle's width
@@ -46,7 +47,9 @@ LEAST_VARIANCE = 4e-12  # of a place's height, as a share of the reach squared: 
 # simulated traffic has 0.05 to 0.35, by coincidence, and up to 0.6 along a strip, where half of it comes towards the
 # camera, or where it moves by less than a width from view to view.
 FOUND_AGAIN = 0.65
-STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are of more than one
+# Sigmas from which a vehicle that stands on no level with others is left out: its boxes are of more than one. Sigmas
+# within which two stand on one level; a judgement.
+STRAY_VEHICLE, SAME_LEVEL = 4.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,11 @@ def standing(
     everywhere = _search(place, offset, picture, tried, 0.0, width)
     start = np.full(len(place), everywhere)
     for cell in _cells(place, height):
-        start[cell] = _search(place[cell], offset[cell], picture[cell], tried, everywhere, width)
+        usual = _search(place[cell], offset[cell], picture[cell], tried, everywhere, width)
+        start[cell] = usual
+        coinciding = _coinciding(place[cell] + usual * offset[cell], picture[cell], width)
+        left = cell[coinciding < UNMATCHED]  # on another level, such as a parking deck, or moving
+        start[left] = _search(place[left], offset[left], picture[left], tried, usual, width)
     seen = _triangulated(place, offset, picture, start, width)
     expected = 1 - (1 - FOUND_IN) ** np.maximum(shown - 1, 0)
     if len(seen.lower) < FEWEST_STANDING or seen.views.sum() < FOUND_AGAIN * expected.sum():
@@ -154,11 +161,18 @@ def _search(
     scores = []
     for lower in tried:
         at = place + lower * offset
-        i, j = cKDTree(at).query_pairs(3 * COINCIDING * width, output_type="ndarray").reshape(-1, 2).T
-        apart = np.linalg.norm(at[i] - at[j], axis=1)[frame[i] != frame[j]]
-        scores.append(float(np.exp(-0.5 * (apart / (COINCIDING * width)) ** 2).sum()))
+        scores.append(float(_coinciding(at, frame, width).sum()) / 2)
     best = int(np.argmax(scores))
     return float(tried[best]) if scores[best] > CLEARLY[0] * scores[0] + CLEARLY[1] else usual
+
+
+def _coinciding(at: np.ndarray, frame: np.ndarray, width: float) -> np.ndarray:
+    """(M,) for each box at `at` (M, 2) [units], how many boxes of other frames coincide with it. frame : (M,) of each
+    box."""
+    i, j = cKDTree(at).query_pairs(3 * COINCIDING * width, output_type="ndarray").reshape(-1, 2).T
+    i, j = i[frame[i] != frame[j]], j[frame[i] != frame[j]]
+    score = np.exp(-0.5 * (np.linalg.norm(at[i] - at[j], axis=1) / (COINCIDING * width)) ** 2)
+    return np.bincount(i, score, len(at)) + np.bincount(j, score, len(at))
 
 
 def _triangulated(
@@ -256,7 +270,7 @@ def _combined(
     boxes = _Spots(place, sd)
     middle, scatter = median_and_sd(seen.lower)
     stray_sd = np.sqrt(scatter**2 + seen.variance + (UNEVEN * height) ** 2)
-    keep = np.abs(seen.lower - middle) < STRAY_VEHICLE * stray_sd
+    keep = (np.abs(seen.lower - middle) < STRAY_VEHICLE * stray_sd) | _in_company(seen, ALIKE_WITHIN * height)
     if keep.sum() < FEWEST_STANDING:
         return _of_sheet(sd / above)
     at = _Spots(seen.place, sd[cKDTree(place).query(seen.place)[1]])[keep]
@@ -275,6 +289,14 @@ def _combined(
     off = means.mean(1) - mean.mean()
     shared = float(np.sqrt(chance @ (np.array([case.alike for case in cases]) + off**2))) / height
     return Standing(mean / above, np.sqrt(variance) / above, shared, int(keep.sum()), float(chance[1:].sum()))
+
+
+def _in_company(seen: _SeenVehicles, reach: float) -> np.ndarray:
+    """(K,) bool: whether FEWEST_STANDING others within `reach` [units] stand on the level of each vehicle."""
+    apart = np.abs(seen.lower[:, None] - seen.lower)
+    level = apart < SAME_LEVEL * np.sqrt(seen.variance[:, None] + seen.variance)
+    alike: np.ndarray = level & (cdist(seen.place, seen.place) < reach)
+    return alike.sum(1) > FEWEST_STANDING
 
 
 def _of_sheet(sd: np.ndarray) -> Standing:
