@@ -233,7 +233,10 @@ def _sums(file: BinaryIO, path: Path) -> dict[int, str]:
         kept = content[len(content) - len(text) + 1 :]
         before += len(content) - len(kept)
         content = kept + block
-        places += [before + found.end() + 1 for found in re.finditer(text, content)]
+        found = content.find(text)  # several times as fast as a regular expression
+        while found >= 0:
+            places.append(before + found + len(text) + 1)
+            found = content.find(text, found + 1)
     sums = {}
     for place in places:
         file.seek(place)
