@@ -193,7 +193,7 @@ def test_a_reconstruction_is_found_by_its_pictures_of_the_ground(flight):
     (evidence,) = got.evidence
     assert evidence.value == pytest.approx(METRES_PER_UNIT, rel=max(3 * evidence.relative_sd, 0.01)), got
     assert evidence.relative_sd < 0.05 and got.place(1.0) is None
-    lon, lat = re.search(r"around ([\d.]+), ([\d.]+),", got.notes[0]).groups()
+    lon, lat = re.search(r"around longitude ([\d.]+), latitude ([\d.]+),", got.notes[0]).groups()
     assert float(lon) == pytest.approx(9.0, abs=1e-3) and float(lat) == pytest.approx(48.752, abs=1e-3)
 
 
