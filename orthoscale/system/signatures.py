@@ -63,8 +63,10 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
     if path.is_dir():
         return _why_not_our_folder(path)
     try:
-        known = mine(path) if mine else is_signed(path)
-        changed = known and _is_edited(path)
+        with path.open("rb") as file:
+            sums = _sums(file, path)
+            known = mine(path) if mine else bool(sums)
+            changed = known and _is_edited(path, file, sums)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
@@ -157,14 +159,12 @@ def _opened(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
 
 
-def _is_edited(path: Path) -> bool:
-    """Whether the file says something else than when it was signed, as far as its signatures tell: it may also have
-    former ones, as a TIFF has in former directories."""
+def _is_edited(path: Path, file: BinaryIO, sums: dict[int, str]) -> bool:
+    """Whether `file`, opened at `path`, says something else than when it was signed, as far as its signatures tell,
+    after which `sums` stand: it may also have former ones, as a TIFF has in former directories."""
     if path.suffix.lower() == ".gpkg":
         return _is_edited_geopackage(path)
-    with path.open("rb") as file:
-        sums = _sums(file, path)
-        return bool(sums) and all(crc != _crc(file, place) for place, crc in sums.items())
+    return bool(sums) and all(crc != _crc(file, place) for place, crc in sums.items())
 
 
 def _is_edited_geopackage(path: Path) -> bool:
