@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from .lens import Lens
     from .picture_file import PictureFile
 
+_Track = tuple[np.ndarray, np.ndarray, float]  # place of a point, its images as numbers of the poses, error [px]
+
 MOST_TRACKS = 1500  # points whose tracks are used, those with the longest: a second's work
 MOST_IMAGES = 120  # that are used, spread evenly over the model
 MOST_VIEWS = 12  # of one point
 LEAST_TRACKS = 50  # points of three views and more that are needed for any result
+LEAST_HOLDING = 6  # of them in an image whose pose counts: six unknowns, and points take half of what they tell
 LEAST_PX = 0.5  # least error of an observation: they are adjusted by the thousand, so errors are not independent
 HELD = 1e-9  # regularisation, as a share of each diagonal element: poses are known only up to a similarity transform
 # Factor from the formal uncertainty of the focal length, that for independent errors, to the real one. Independent
@@ -156,7 +159,7 @@ class _Block:
     of the poses: rotation (N, 3, 3), shift (N, 3). focal : (N,) [px]. distance : typical one of the cameras from the
     origin, the unit of their shifts."""
 
-    tracks: list[tuple[np.ndarray, np.ndarray, float]]
+    tracks: list[_Track]
     rotation: np.ndarray
     shift: np.ndarray
     focal: np.ndarray
@@ -172,7 +175,7 @@ class _Block:
         rank = {number: k for k, number in enumerate(numbers)}
         numbers = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_IMAGES).astype(int))]
         column = {number: k for k, number in enumerate(numbers)}
-        tracks = []
+        tracks: list[_Track] = []
         for point in _longest_first(model.points3D.values(), rank):
             images = {element.image_id for element in point.track.elements} & column.keys()
             if len(images) >= 3:
@@ -181,6 +184,7 @@ class _Block:
                 tracks.append((np.array(point.xyz), where, max(float(point.error), LEAST_PX)))
             if len(tracks) == MOST_TRACKS:
                 break
+        tracks, numbers = _held(tracks, numbers)
         if len(tracks) < LEAST_TRACKS:
             return None
         poses = [model.image(number).cam_from_world() for number in numbers]
@@ -216,6 +220,14 @@ class _Block:
         scaled = reduced / np.outer(scale, scale) + HELD * np.eye(size)
         by_scaled = asked / scale
         return float(np.sqrt(max(float(by_scaled @ np.linalg.solve(scaled, by_scaled)), 0.0)))
+
+
+def _held(tracks: list[_Track], numbers: list[int]) -> tuple[list[_Track], list[int]]:
+    """Both without the images whose poses so few of the `tracks` hold that they could stand anywhere."""
+    held = np.bincount([k for _, where, _ in tracks for k in where], minlength=len(numbers)) >= LEAST_HOLDING
+    new = np.cumsum(held) - 1
+    left = [(xyz, new[where[held[where]]], error) for xyz, where, error in tracks]
+    return [each for each in left if len(each[1]) >= 3], [n for n, ok in zip(numbers, held, strict=True) if ok]
 
 
 def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:
