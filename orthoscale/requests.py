@@ -402,7 +402,7 @@ class EstimateRequest(VehicleRequest):
 
     def check_for_many(self) -> None:
         """Raise UsageError for an option that makes sense for a single input only."""
-        self._refuse(("known_distance", "ground_control"), "it is about one input, and these are several")
+        self._refuse(("known_distance", "ground_control"), "it is about one input, without a summary")
 
     def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images", "ground_cloud", "gps"), f"it is for COLMAP models, and {path} is an image")

@@ -63,7 +63,7 @@ def turned(cloud, degrees):
 def test_a_part_of_its_cloud_is_the_models_own(scene, cut):
     sparse, centres, cloud = scene
     fit = cloud_fit(sparse, centres, np.array_split(cut(cloud), 3))
-    assert fit.own and not fit.another, fit
+    assert fit.own and not fit.another and "too few" not in fit.said, fit
 
 
 @pytest.mark.parametrize(
@@ -92,6 +92,7 @@ def test_of_few_points_nothing_is_said(scene, few):
     for points in (few(cloud), 3 * few(cloud)[:900]):
         fit = cloud_fit(sparse, centres, [points])
         assert not fit.another and not fit.own, fit
+        assert not fit.near or fit.said.endswith("too few points to tell"), "not: of 3125, 3125 lie on it"
 
 
 @pytest.fixture

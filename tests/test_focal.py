@@ -102,6 +102,31 @@ def test_straight_down_leaves_a_bend_open_and_a_slant_less(suburb, tmp_path):
     assert said[0] > 3 * max(said[1:]) and 0.02 < said[0] < 0.2 and max(said[1:]) < 0.02
 
 
+def test_an_image_without_long_tracks_does_not_count(suburb, tmp_path):
+    """As one over water: nothing held its pose, so that a bend was open by 1e154, and no GPS position counted."""
+    model = block(suburb, tmp_path, 90)
+    up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
+    whole, first = bend_sd(model, up), model.image(min(model.reg_image_ids()))
+    seen = [k for k, place in enumerate(first.points2D) if place.has_point3D()]
+    for k in seen[2:]:
+        model.delete_observation(first.image_id, k)
+    assert bend_sd(model, up) == pytest.approx(whole, rel=0.2)
+
+
+def test_without_tracks_a_bend_is_about_as_open(suburb, tmp_path):
+    """As in files of other programs: their models counted as surely flat, and so positions of their cameras as sure."""
+    for pitch in (90, 60):
+        model = block(suburb, tmp_path / str(pitch), pitch)
+        up = np.linalg.svd(np.cov(places(model)[1].T))[2][2]
+        tracked, points = bend_sd(model, up), places(model)[1]
+        for number in model.point3D_ids():
+            model.delete_point3D(number)
+        assert bend_sd(model, up) == 0
+        for place in points:
+            model.add_point3D(place, pycolmap.Track(), np.zeros(3, np.uint8))
+        assert bend_sd(model, up) == pytest.approx(tracked, rel=0.3) and focal_sd(model) is None
+
+
 def test_the_numbers_of_images_and_points_do_not_matter(suburb, tmp_path, monkeypatch):
     """Not even where only some of many tracks that are equally long are used, and some views of each."""
     monkeypatch.setattr(focal, "MOST_TRACKS", 150)

@@ -576,8 +576,9 @@ def test_a_bug_in_a_process_is_one_line_of_its_row(parks, monkeypatch, capfd):
 def test_what_speaks_of_one_input_is_refused(parks):
     pictures, one = parks / "pictures", parks / "pictures/a.png"
     for path, why, *more in (
-        (pictures, "is about one input, and these are several", "--known-distance", "0,0 9,9 1"),
+        (pictures, "is about one input, without a summary", "--known-distance", "0,0 9,9 1"),
         (pictures, "keeps the boxes of one input", "--save-detections", "x.json"),
+        (one, "Name one input, without --summary", "--save-detections", "x.json", "--summary", "x.csv"),
         (one, "--jobs does nothing here: there is one input", "--jobs", "2"),
         (pictures, "a summary ends in .csv", "--summary", "x.doc"),
     ):
@@ -585,7 +586,7 @@ def test_what_speaks_of_one_input_is_refused(parks):
         assert done.returncode == 2 and why in done.stderr, done.stderr
     for more in (["--model", "x"], ["--model-detections", "x.json"]):
         done = run("check", parks / "pictures", *options(parks, *more))
-        assert done.returncode == 2 and f"{more[0]} is for one input" in done.stderr
+        assert done.returncode == 2 and f"{more[0]} is for one input, without --summary" in done.stderr
 
 
 def test_a_dry_run_in_json_tells_names_that_are_not_utf_8(capsys):

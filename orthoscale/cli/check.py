@@ -86,7 +86,7 @@ def check(
         of_one = {"save-detections": save_detections, "model": model, "model-detections": model_detections}
         for name, value in of_one.items():
             if value is not None:
-                raise UsageError(f"--{name} is for one input, and these are several", f"Remove --{name}.")
+                raise UsageError(f"--{name} is for one input, without --summary", f"Remove --{name}.")
         run("check", many, request, as_json, overwrite, dry_run=dry_run)
     if model is not None:
         if save_detections is not None:

@@ -165,7 +165,9 @@ def fix(
 
 def _refuse_boxes_of_many(save_detections: Path | None) -> None:
     if save_detections is not None:
-        raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or name one input.")
+        raise UsageError(
+            "--save-detections keeps the boxes of one input", "Name one input, without --summary, or remove it."
+        )
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:

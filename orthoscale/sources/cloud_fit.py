@@ -59,10 +59,11 @@ class CloudFit:
 
     @property
     def said(self) -> str:
-        """What was found, for an error."""
+        """What was found, for an error or a caution."""
         if not self.near:
             return f"it comes near none of {self.points} sparse points"
-        return f"of {self.near} sparse points that it comes near, {self.on} lie on it"
+        found = f"of {self.near} sparse points that it comes near, {self.on} lie on it"
+        return found if self.another or self.own else f"{found}, too few points to tell"
 
 
 def cloud_fit(points: np.ndarray, centres: np.ndarray, blocks: Iterable[np.ndarray]) -> CloudFit:
