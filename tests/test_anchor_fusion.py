@@ -15,6 +15,7 @@ from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import INFO, REFUSAL
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.scale import PER_PIXEL
 from orthoscale.fleets import load_fleet
 
 SD = 0.05  # of the vehicles
@@ -25,7 +26,9 @@ REACH = 3.0
 
 
 def together(votes, centre=0.0, country="", **more):
-    return combined(Posterior.normal(centre, SD), {"sampling": SD}, [*evidence_of(votes, country), *more.values()])
+    return combined(
+        Posterior.normal(centre, SD), {"sampling": SD}, [*evidence_of(votes, country), *more.values()], PER_PIXEL
+    )
 
 
 def seen(rng, kind, standards, count, sd, false, centre):
@@ -105,7 +108,7 @@ def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
 
 def test_kinds_that_contradict_each_other_without_vehicles_span_what_they_say_and_no_more():
     court, dashes = (vote(kind, off, 0.004, COURT) for kind, off in (("tennis court", 0.05), ("lane dashes", -0.05)))
-    value, low, high = np.log(combined(None, {}, evidence_of([court, dashes])).summary)
+    value, low, high = np.log(combined(None, {}, evidence_of([court, dashes]), PER_PIXEL).summary)
     assert -0.07 < low < -0.05 and 0.05 < high < 0.07 and min(abs(value - 0.05), abs(value + 0.05)) < 1e-6
 
 
@@ -122,7 +125,7 @@ def test_the_vehicles_tell_which_standard_it_is():
     for meant, standard in enumerate(BAYS):
         alone = evidence_of([vote("parking bays", 0.0, 0.003, BAYS, meant)])[0]
         assert len(alone.posterior.mean) == 3 and alone.value == pytest.approx(2.5 / standard.metres)
-        known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone])
+        known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone], PER_PIXEL)
         assert np.log(known.summary[0]) == pytest.approx(0.0, abs=0.01)
         (told,) = known.evidence
         assert told.value == pytest.approx(1.0) and standard.name in told.says

@@ -48,8 +48,8 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
 
 def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
-    conflicts = ("vehicles: 0.1, a tape: 0.13, 5 sigmas apart",) if conflict else ()
-    compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
+    conflicts = ("vehicles: 0.1 m/px, a tape: 0.13 m/px, 5 sigmas apart",) if conflict else ()
+    compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd, PER_PIXEL),)
     return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared, 0.0, conflicts))
 
 
@@ -80,7 +80,7 @@ def test_more_rejected_than_used_are_many(measured, more, what):
 
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
     contradicted = with_tape(measured, 0.13, 5.0)
-    said = "vehicles: 0.1, a tape: 0.13, 5 sigmas apart"
+    said = "vehicles: 0.1 m/px, a tape: 0.13 m/px, 5 sigmas apart"
     remarks = [Remark(REFUSAL, text) for text in contradicted.scale.support.refusals]
     found = judgements(scaled(contradicted, remarks=remarks))
     assert said in [j.detail for j in found if "contradicts" in j.what]

@@ -107,7 +107,8 @@ def _named(images: Sequence[str]) -> str:
 
 
 def _of_part(part: PartScale) -> str:
-    return f"{_named(part.images)} give {part.scale.value:.4g} by {amount(part.scale.vehicles_used, 'vehicles')}"
+    scale = part.scale
+    return f"{_named(part.images)} give {scale.value:.4g} {scale.unit} by {amount(scale.vehicles_used, 'vehicles')}"
 
 
 def _without(images: Sequence[str]) -> str:
