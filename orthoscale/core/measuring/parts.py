@@ -9,7 +9,7 @@ import numpy as np
 
 from ..detections import Detections
 from ..pooling.agreement import CONTRADICTION
-from ..remarks import CAUTION, REFUSAL, Remark, amount
+from ..remarks import CAUTION, ON_PARTS, REFUSAL, Remark, amount
 from ..scale import Scale
 from ..verdicts import AT_BEST_DOUBTED
 from .surface import LOTS_SD
@@ -93,7 +93,7 @@ class Parts:
         """
         if self.contradict:
             wide = scale.contradicted_by([part.scale for part in self.known])
-            return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT))
+            return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT, ON_PARTS))
         without = sum(map(len, self.unknown))
         if without < FEW_IMAGES * (without + sum(len(part.images) for part in self.known)):
             return scale

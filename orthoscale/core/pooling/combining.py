@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from ..evidence import BY_CONTROL, BY_DISTANCE, BY_GPS, BY_MAP, CONFLICT_LIMIT, SUPPORTS, Compared, Evidence, Support
 from ..normal import Z90
-from ..remarks import CAUTION, INFO, REFUSAL, Remark
+from ..remarks import CAUTION, INFO, ON_EVIDENCE, REFUSAL, Remark
 from .posterior import Posterior
 
 STRONG = 0.05  # probability of a false find up to which an anchor may contradict others
@@ -84,7 +84,7 @@ def combined(
     told = tuple(e.meant(before) for e in evidence)
     whose = Remark(CAUTION, f"the scale is that of the most certain side alone, {name}; the interval covers all")
     parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
-    refusals = [Remark(REFUSAL, text, _hint(vehicles, strong)) for text in support.refusals]
+    refusals = [Remark(REFUSAL, text, _hint(vehicles, strong), ON_EVIDENCE) for text in support.refusals]
     remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     return Combined(posterior, parts, conflict, remarks, summary, told, support)
 
