@@ -522,6 +522,9 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert "orthoscale local metres" in meta["crs"]
     first = json.loads((out / "layout.geojson").read_text())["features"][0]
     assert shapely.geometry.shape(first["geometry"]).area == pytest.approx(areas[0])
+    there, _, shapes, _ = pyogrio.raw.read(out / "layout.geojson")
+    assert "orthoscale local metres" in there["crs"], "without a CRS, they are taken for degrees"
+    assert len(shapes) == len(areas) and list(there["fields"]) == list(meta["fields"])
 
     drawing = ezdxf.readfile(out / "layout.dxf")
     assert drawing.units == ezdxf.units.M and not drawing.audit().has_errors
@@ -546,6 +549,14 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert path.read_bytes() == before
     again = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
     assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_coordinates_of_a_world_file_alone_are_no_degrees(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((500, 700, 3), 120, np.uint8))
+    (tmp_path / "a.pgw").write_text("0.1\n0\n0\n-0.1\n0.05\n49.95\n")
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    export.write(plan(tmp_path / "a.png", lot, ["basketball"]), tmp_path)
+    assert "orthoscale local metres" in pyogrio.read_info(tmp_path / "layout.geojson")["crs"]
 
 
 def test_the_prompt_names_sizes_and_places(tmp_path):
