@@ -101,6 +101,18 @@ def _require_files(path: Path) -> None:
                     raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
 
 
+def world_files(path: Path) -> tuple[str, ...]:
+    """Names of the world files that GDAL reads beside the picture `path`."""
+    ending = path.suffix[1:]
+    world = f"{ending[:1]}{ending[-1:]}w", f"{ending}w", "wld"
+    return tuple(f"{path.stem}.{end}" for each in world for end in (each.lower(), each.upper()))
+
+
+def beside(path: Path) -> tuple[str, ...]:
+    """Names of the files that GDAL reads together with the picture `path`."""
+    return *(f"{path.name}{ending}" for ending in (".aux.xml", ".ovr", ".msk")), *world_files(path)
+
+
 def _is_vrt(path: Path) -> bool:
     with path.open("rb") as file:
         return b"<VRTDataset" in file.read(4096)

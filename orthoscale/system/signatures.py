@@ -70,7 +70,7 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
             changed = known and _is_edited(path, file, sums)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    other = "is another kind of output of orthoscale" if sums else NOT_OURS
+    other = "is another kind of output of orthoscale" if sums else f"{NOT_OURS}, or was changed" if mine else NOT_OURS
     return CHANGED if changed else "" if known else other
 
 
