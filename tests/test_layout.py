@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import cv2
 import ezdxf
@@ -662,3 +663,11 @@ def test_a_sports_complex_on_a_real_lot(data, tmp_path):
     assert sides.max() == pytest.approx(28 / 0.0967, rel=0.005)
     football = next(m for m in made.missing if m.facility.code == "football")
     assert not football.empty_lot and "lacks" in football.sentence()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_beside_a_shapefile_is_not_waited_for(tmp_path):
+    (tmp_path / "lot.shp").write_bytes(b"\0\0\x27\x0a")
+    os.mkfifo(tmp_path / "lot.dbf")
+    with pytest.raises(InputError, match="lot.dbf is a pipe or a device"):
+        plan(orthophoto(tmp_path), tmp_path / "lot.shp", ["basketball"])

@@ -22,7 +22,7 @@ from ...errors import InputError, OutputError, shown
 from ..degrees import WGS_84, about_meridian, near_on_map
 from ..names import json_in_utf8
 from ..plain_path import readable, writable
-from ..reading import EXPORT_ANEW, check_regular, checked, parsed
+from ..reading import EXPORT_ANEW, check_regular, checked, parsed, refuse_pipes_beside
 from ..vector import crs_member
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
@@ -141,6 +141,7 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
     import shapely.geometry
 
     check_regular(path, "Give a detections file.")
+    refuse_pipes_beside([path])
     try:
         with readable(path) as file:
             names = [str(name) for name in pyogrio.list_layers(file)[:, 0]]
