@@ -180,6 +180,18 @@ def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_ar
     assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
 
 
+def test_what_is_in_a_row_is_told_as_how_many_of_what_length():
+    """A zebra crossing was one of "stripes 0.50 m, gaps 0.50 m, 1 m"."""
+    one = vote("crossing", 0.0, 0.004, [Standard("stripes 0.50 m, gaps 0.50 m", 1.0, 0.01, "")])
+    row = replace(one, anchor=replace(one.anchor, count=7))
+    for votes, said in (
+        ([one], "crossing (stripes 0.50 m, gaps 0.50 m, 1 m)"),
+        ([row], "crossing (7 in a row, each 1 m: stripes 0.50 m, gaps 0.50 m)"),
+        ([row, row], "2 x crossing (14 in rows, each 1 m: stripes 0.50 m, gaps 0.50 m)"),
+    ):
+        assert evidence_of(votes)[0].says == said
+
+
 def test_an_odd_one_among_many_does_not_count():
     votes = [vote("tennis court", x, 0.004, COURT, at=1e4 * k) for k, x in enumerate([0.0, 0.002, -0.001, 0.08])]
     (found,) = evidence_of(votes)
