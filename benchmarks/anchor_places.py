@@ -16,6 +16,7 @@ from orthoscale.core.measuring.anchors import votes_in_plan
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.scale import PER_PIXEL
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHIP_GSD = 0.3048  # [m/px] one foot per pixel
@@ -67,7 +68,7 @@ def place_of(anchors: Sequence[Anchor], gsd: float, told: float, told_sd: float,
     relative one sigma of `told_sd`; `gsd` [m/px] is the truth."""
     vehicles = Posterior.normal(float(np.log(told)), told_sd)
     (evidence,) = evidence_of(votes_in_plan(anchors, 4 * told_sd), country)
-    fused = combined(vehicles, {}, [evidence])
+    fused = combined(vehicles, {}, [evidence], PER_PIXEL)
     value, low, high = fused.summary
     off = np.abs(evidence.own.mean - np.log(gsd))
     right = abs(np.log(fused.evidence[0].value / gsd)) <= off.min() + SAME_LOG

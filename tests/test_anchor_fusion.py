@@ -15,6 +15,7 @@ from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import INFO, REFUSAL
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.scale import PER_PIXEL
 from orthoscale.fleets import load_fleet
 
 SD = 0.05  # of the vehicles
@@ -25,7 +26,9 @@ REACH = 3.0
 
 
 def together(votes, centre=0.0, country="", **more):
-    return combined(Posterior.normal(centre, SD), {"sampling": SD}, [*evidence_of(votes, country), *more.values()])
+    return combined(
+        Posterior.normal(centre, SD), {"sampling": SD}, [*evidence_of(votes, country), *more.values()], PER_PIXEL
+    )
 
 
 def seen(rng, kind, standards, count, sd, false, centre):
@@ -105,7 +108,7 @@ def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
 
 def test_kinds_that_contradict_each_other_without_vehicles_span_what_they_say_and_no_more():
     court, dashes = (vote(kind, off, 0.004, COURT) for kind, off in (("tennis court", 0.05), ("lane dashes", -0.05)))
-    value, low, high = np.log(combined(None, {}, evidence_of([court, dashes])).summary)
+    value, low, high = np.log(combined(None, {}, evidence_of([court, dashes]), PER_PIXEL).summary)
     assert -0.07 < low < -0.05 and 0.05 < high < 0.07 and min(abs(value - 0.05), abs(value + 0.05)) < 1e-6
 
 
@@ -122,7 +125,7 @@ def test_the_vehicles_tell_which_standard_it_is():
     for meant, standard in enumerate(BAYS):
         alone = evidence_of([vote("parking bays", 0.0, 0.003, BAYS, meant)])[0]
         assert len(alone.posterior.mean) == 3 and alone.value == pytest.approx(2.5 / standard.metres)
-        known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone])
+        known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone], PER_PIXEL)
         assert np.log(known.summary[0]) == pytest.approx(0.0, abs=0.01)
         (told,) = known.evidence
         assert told.value == pytest.approx(1.0) and standard.name in told.says
@@ -175,6 +178,18 @@ def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_ar
     )
     taped = together(kinds, tape=Evidence("known distance", 1.0, 0.001, "a tape"))
     assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
+
+
+def test_what_is_in_a_row_is_told_as_how_many_of_what_length():
+    """A zebra crossing was one of "stripes 0.50 m, gaps 0.50 m, 1 m"."""
+    one = vote("crossing", 0.0, 0.004, [Standard("stripes 0.50 m, gaps 0.50 m", 1.0, 0.01, "")])
+    row = replace(one, anchor=replace(one.anchor, count=7))
+    for votes, said in (
+        ([one], "crossing (stripes 0.50 m, gaps 0.50 m, 1 m)"),
+        ([row], "crossing (7 in a row, each 1 m: stripes 0.50 m, gaps 0.50 m)"),
+        ([row, row], "2 x crossing (14 in rows, each 1 m: stripes 0.50 m, gaps 0.50 m)"),
+    ):
+        assert evidence_of(votes)[0].says == said
 
 
 def test_an_odd_one_among_many_does_not_count():

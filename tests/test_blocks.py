@@ -331,7 +331,7 @@ def test_parts_of_different_scales_are_refused(of_two_parts):
     said = [(j.what, j.detail) for j in judgements(measured) if j.severity == REFUSAL and "arts" in j.what + j.detail]
     assert [what for what, _ in said] == ["Parts have different scales"] and halves[1][0] in said[0][1]
     (refusal,) = [r for r in measured.remarks if r.severity == REFUSAL and "share no point" in r.text]
-    assert "image_deleter" in refusal.hint
+    assert "image_deleter" in refusal.hint and " m/model-unit by " in refusal.text
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from orthoscale.core.measuring.surface import Cells, SurfaceFit
 from orthoscale.core.measuring.vehicles import VEHICLE, vehicle_table
 from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.robust import pool
-from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
+from orthoscale.core.remarks import CAUTION, ON_PLACES, REFUSAL, SUPPORT, Remark
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
 from orthoscale.core.votes import Sightings, gather
@@ -158,7 +158,7 @@ def test_cells_that_scatter_less_than_they_may_make_no_drift_surer():
 )
 def test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict(amplitude, sd, word):
     before = scale_of_whole(sd)
-    after = with_drift(before, amplitude, ["the scale drifts"] if amplitude else [])
+    after = with_drift(before, amplitude, [Remark(CAUTION, "the scale drifts", check=ON_PLACES)] if amplitude else [])
     assert after.verdict == word and after.value == before.value
     # Of a change that is spread evenly over the source, one sigma is the amplitude over the root of twelve.
     evenly = np.linspace(-amplitude / 2, amplitude / 2, 100_001).std()
@@ -166,6 +166,7 @@ def test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict(amplitude, 
     assert np.log(after.interval90[1] / after.interval90[0]) == pytest.approx(2 * Z90 * after.relative_sd, rel=1e-9)
     severities = [remark.severity for remark in after.remarks]
     assert severities == ([] if amplitude == 0 else [REFUSAL if word == "unusable" else CAUTION])
+    assert all(remark.check == ON_PLACES for remark in after.remarks)
 
 
 @pytest.mark.parametrize("change, verdicts", [(0.02, {"good", "fair"}), (0.25, {"poor"}), (0.6, {"unusable"})])

@@ -1,6 +1,7 @@
 """Evidence besides vehicles: combined where it agrees, reported where it does not."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -12,14 +13,16 @@ from orthoscale.core.evidence import BY_GPS, Evidence
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.measuring.without_vehicles import measured_without_vehicles
 from orthoscale.core.normal import Z90
+from orthoscale.core.pooling import combining
 from orthoscale.core.pooling.anchors import evidence_of
-from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.scale import PER_PIXEL
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.formats.tables import known_objects
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
 PARTS = {"sampling": 0.03, "fleet": 0.04}
+combined = partial(combining.combined, unit=PER_PIXEL)
 
 
 def test_two_measurements_that_agree_are_weighed_by_their_precision():
@@ -38,8 +41,11 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert value == pytest.approx(0.14) and low < 0.10 and high > 0.14
     assert together.conflict == pytest.approx(np.log(1.4) / np.hypot(0.05, 0.01))
     refusal, whose = together.remarks
-    assert refusal.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and refusal.severity == "refusal"
-    assert together.support.conflicts == ("vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart",)
+    assert (
+        refusal.text == "conflict: vehicles: 0.1 m/px, a tape: 0.14 m/px, 6.6 sigmas apart"
+        and refusal.severity == "refusal"
+    )
+    assert together.support.conflicts == ("vehicles: 0.1 m/px, a tape: 0.14 m/px, 6.6 sigmas apart",)
     assert "that of the most certain side alone, a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
@@ -76,10 +82,10 @@ def test_what_contradicts_is_said_once():
     dashes = Evidence.mixed("dashes", Posterior.normal(np.log(0.07), 0.01), ["dashes"], doubt=0.3)
     refusal, whose, beside = combined(VEHICLES, PARTS, [court, dashes]).remarks
     assert (
-        refusal.text.startswith("conflict: vehicles: 0.1, a court: 0.14")
+        refusal.text.startswith("conflict: vehicles: 0.1 m/px, a court: 0.14 m/px")
         and "the most certain side alone, vehicles" in whose.text
     )
-    assert beside.text.startswith("dashes: would give 0.07") and beside.text.endswith("it does not count")
+    assert beside.text.startswith("dashes: would give 0.07 m/px, outside") and beside.text.endswith("it does not count")
 
 
 @pytest.mark.slow
@@ -232,6 +238,7 @@ def test_a_distance_that_does_not_fit_the_vehicles_is_a_caution(off, doubtful):
     assert not together.conflict and together.support.compared[0].sigmas == pytest.approx(off)
     assert [r.severity for r in together.remarks] == ["caution"] * doubtful
     assert all("may be mistyped, or not on the ground" in r.text for r in together.remarks)
+    assert all(" m/px, " in r.text for r in together.remarks)
 
 
 def test_what_two_share_is_no_part_of_the_difference_between_them():

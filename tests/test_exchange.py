@@ -10,6 +10,7 @@ from unicodedata import normalize
 
 import cv2
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 from affine import Affine
@@ -152,6 +153,7 @@ def test_geojson_of_a_picture_that_lies_nowhere_has_pixels(tmp_path, name):
     assert text["orthoscale"]["coordinates"] == "pixels"
     ring = np.array(text["features"][0]["geometry"]["coordinates"][0])[:4]
     assert ring * [1, -1] == pytest.approx(BOXES.corners[0], abs=1e-3)
+    assert "orthoscale pixels" in pyogrio.read_info(tmp_path / "d.geojson")["crs"], "GDAL takes them for degrees"
 
 
 def test_many_pictures_keep_their_names(tmp_path):

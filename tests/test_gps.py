@@ -145,9 +145,9 @@ def test_what_decides_the_scale_is_said():
     for sd, told in ((0.01, ["GPS positions of 9 frames have 96 % of the weight; --no-gps leaves them out"]),
                      (0.08, [])):  # fmt: skip
         gps = Evidence("GPS positions", 8.0, sd, "GPS positions of 9 frames")
-        assert [remark.text for remark in combined(vehicles, {"sampling": 0.05}, [gps]).remarks] == told
+        assert [remark.text for remark in combined(vehicles, {"sampling": 0.05}, [gps], "m/model-unit").remarks] == told
     far = Evidence("GPS positions", 10.0, 0.01, "GPS positions of 9 frames")
-    assert combined(vehicles, {"sampling": 0.05}, [far]).conflict > 3
+    assert combined(vehicles, {"sampling": 0.05}, [far], "m/model-unit").conflict > 3
 
 
 def tagged(folder, metres_per_unit=UNIT, noise=0.2, wrong=(), longitude=8.5, bowl=0.0, altitudes=True):

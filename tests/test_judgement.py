@@ -15,7 +15,7 @@ from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift
 from orthoscale.core.measuring.parts import PARTS_NAMED, Parts
 from orthoscale.core.pooling.agreement import Agreement
-from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark, amount
+from orthoscale.core.remarks import CAUTION, INFO, ON_EVIDENCE, ON_PLACES, REFUSAL, SEVERITIES, SUPPORT, Remark, amount
 from orthoscale.core.scale import PER_PIXEL
 from orthoscale.core.verdicts import remark_on_shape
 
@@ -48,8 +48,8 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
 
 def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
-    conflicts = ("vehicles: 0.1, a tape: 0.13, 5 sigmas apart",) if conflict else ()
-    compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
+    conflicts = ("vehicles: 0.1 m/px, a tape: 0.13 m/px, 5 sigmas apart",) if conflict else ()
+    compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd, PER_PIXEL),)
     return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared, 0.0, conflicts))
 
 
@@ -80,11 +80,21 @@ def test_more_rejected_than_used_are_many(measured, more, what):
 
 def test_a_contradiction_is_told_by_what_each_side_says(measured):
     contradicted = with_tape(measured, 0.13, 5.0)
-    said = "vehicles: 0.1, a tape: 0.13, 5 sigmas apart"
-    remarks = [Remark(REFUSAL, text) for text in contradicted.scale.support.refusals]
-    found = judgements(scaled(contradicted, remarks=remarks))
-    assert said in [j.detail for j in found if "contradicts" in j.what]
-    assert len([j for j in found if said in j.detail]) == 1, "not once more as a remark"
+    said = "vehicles: 0.1 m/px, a tape: 0.13 m/px, 5 sigmas apart"
+    # In whatever words: of two modes, the remark begins with the name of the one that it is on.
+    for remark in (Remark(REFUSAL, f"{begin}conflict: {said}", check=ON_EVIDENCE) for begin in ("", "oblique: ")):
+        found = judgements(scaled(contradicted, remarks=(remark,)))
+        assert said in [j.detail for j in found if "contradicts" in j.what]
+        assert len([j for j in found if said in j.detail]) == 1, "not once more as a remark"
+
+
+@pytest.mark.parametrize("severity", [CAUTION, REFUSAL])
+def test_a_drift_is_told_once_and_as_gravely_as_its_remark(measured, severity):
+    bent = of_a_model(measured, 12.0, 0.001)
+    found = judgements(scaled(bent, remarks=(Remark(severity, "oblique: it may be bent", check=ON_PLACES),)))
+    assert [(j.what, j.severity) for j in found if j.what in ("The scale drifts", "Remark")] == [
+        ("The scale drifts", severity)
+    ]
 
 
 def test_lengths_and_widths_refuse_only_far_apart(measured):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import cv2
 import ezdxf
@@ -522,6 +523,9 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert "orthoscale local metres" in meta["crs"]
     first = json.loads((out / "layout.geojson").read_text())["features"][0]
     assert shapely.geometry.shape(first["geometry"]).area == pytest.approx(areas[0])
+    there, _, shapes, _ = pyogrio.raw.read(out / "layout.geojson")
+    assert "orthoscale local metres" in there["crs"], "without a CRS, they are taken for degrees"
+    assert len(shapes) == len(areas) and list(there["fields"]) == list(meta["fields"])
 
     drawing = ezdxf.readfile(out / "layout.dxf")
     assert drawing.units == ezdxf.units.M and not drawing.audit().has_errors
@@ -546,6 +550,14 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert path.read_bytes() == before
     again = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
     assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_coordinates_of_a_world_file_alone_are_no_degrees(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((500, 700, 3), 120, np.uint8))
+    (tmp_path / "a.pgw").write_text("0.1\n0\n0\n-0.1\n0.05\n49.95\n")
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    export.write(plan(tmp_path / "a.png", lot, ["basketball"]), tmp_path)
+    assert "orthoscale local metres" in pyogrio.read_info(tmp_path / "layout.geojson")["crs"]
 
 
 def test_the_prompt_names_sizes_and_places(tmp_path):
@@ -651,3 +663,11 @@ def test_a_sports_complex_on_a_real_lot(data, tmp_path):
     assert sides.max() == pytest.approx(28 / 0.0967, rel=0.005)
     football = next(m for m in made.missing if m.facility.code == "football")
     assert not football.empty_lot and "lacks" in football.sentence()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_beside_a_shapefile_is_not_waited_for(tmp_path):
+    (tmp_path / "lot.shp").write_bytes(b"\0\0\x27\x0a")
+    os.mkfifo(tmp_path / "lot.dbf")
+    with pytest.raises(InputError, match="lot.dbf is a pipe or a device"):
+        plan(orthophoto(tmp_path), tmp_path / "lot.shp", ["basketball"])

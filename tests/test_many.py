@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from itertools import permutations
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from orthoscale.cli.dry_run import tell_rehearsals
 from orthoscale.cli.many import line
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.names import in_utf8
-from orthoscale.report.summary import inputs_in, write_summary
+from orthoscale.report.summary import check_summary, inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
 from orthoscale.system.paths import titles_of
 
@@ -423,6 +423,26 @@ def later(path):
     os.utime(path, (time.time() + 60,) * 2)
 
 
+@pytest.mark.parametrize(
+    "name, refused",
+    [
+        ("out/a.tif.json", True),  # its report
+        ("out/A.TIF.html", True),
+        ("out/a.tif.tiles.csv", True),
+        ("elsewhere/../out/a.tif.gpkg", True),
+        ("out/model/more.csv", True),
+        ("out/model.csv", False),
+        ("out/a.json", False),
+        ("a.tif.json", False),
+    ],
+)
+def test_a_summary_where_a_part_of_a_copy_will_be_is_refused(tmp_path, name, refused):
+    """Its report was said to be "written by another run", and if it was there, not by orthoscale."""
+    (tmp_path / "elsewhere").mkdir()
+    with pytest.raises(UsageError, match="would be taken for a part of the copy") if refused else nullcontext():
+        check_summary(tmp_path / name, [tmp_path / "out/a.tif", tmp_path / "out/model"])
+
+
 @pytest.mark.slow
 def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
     """And what is no summary never is."""
@@ -432,7 +452,11 @@ def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
     batch("--overwrite", code=0)
     page = (batch.out / "a.tif.json").read_bytes()
     done, _ = batch("--overwrite", summary="scaled/a.tif.json", code=2)
-    assert "so it is not replaced" in done.stderr and (batch.out / "a.tif.json").read_bytes() == page
+    assert "a part of the copy" in done.stderr
+    words = ["--fleet", "DE", "--detections", batch.boxes, "--overwrite", "--summary", batch.out / "a.tif.json"]
+    done = run("estimate", batch.folder, *words)
+    assert done.returncode == 2 and "is another kind of output of orthoscale, so it is not replaced" in done.stderr
+    assert (batch.out / "a.tif.json").read_bytes() == page
     for ending in ("json", "html", "gpkg"):
         batch(summary=f"more.{ending}", code=0)
         batch(summary=f"more.{ending}", code=0)

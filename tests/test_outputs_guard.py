@@ -1067,11 +1067,11 @@ def test_a_name_that_no_geotiff_can_have_is_refused_before_any_work(ortho, name,
 
 def test_the_georeferencing_of_the_input_stays_its_own(ortho):
     here = ortho.parent
-    before = (here / "a.tfw").read_bytes()
-    for _ in range(2):
-        assert fixed(ortho, here / "a.tiff", "--overwrite").returncode == 0
-        assert (here / "a.tfw").read_bytes() == before
+    before = state(here)
+    done = fixed(ortho, here / "a.tiff")
+    assert done.returncode == 2 and "a.tfw would be taken for a part of" in done.stderr and state(here) == before
     (here / "a.tfw").unlink()
+    assert fixed(ortho, here / "a.tiff").returncode == 0
     done = fixed(ortho, here / "a.tiff", "--overwrite", "--also", "tfw")
     assert done.returncode == 2 and "part of the input" in done.stderr and not (here / "a.tfw").exists()
 
@@ -1085,6 +1085,22 @@ def test_others_files_in_the_places_of_parts_stay(ortho, name):
     done = fixed(ortho, here / "out.tif", "--overwrite", *ALL)
     assert done.returncode == 2 and name in done.stderr
     assert state(here) == before
+
+
+@pytest.mark.parametrize("name", ["out.tfw", "out.TFW", "out.tifw", "out.wld", "out.tif.msk"])
+@pytest.mark.parametrize("edited", [False, True])
+def test_no_copy_is_made_beside_what_gives_it_another_scale(ortho, name, edited):
+    """A world file that somebody edited, or of another picture, stayed beside the new copy, and nothing was said."""
+    here = ortho.parent
+    if edited:
+        assert fixed(ortho, here / "out.tif", "--also", "tfw").returncode == 0
+        (here / "out.tfw").rename(here / name)
+    (here / name).write_text("1\n0\n0\n-1\n0\n0\n")
+    before = state(here)
+    for more in [[], ["--also", "tfw"]]:
+        done = fixed(ortho, here / "out.tif", "--overwrite", *more)
+        assert done.returncode == 2 and f"{here / name} " in done.stderr and state(here) == before
+        assert "would be taken for a part of" in done.stderr or "by orthoscale under this name, or was" in done.stderr
 
 
 # What fails beside a verified copy

@@ -1496,6 +1496,20 @@ def test_a_pipe_that_a_vrt_names_is_not_waited_for(tmp_path, nested):
         RasterSource.open(path)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize("name", ["a.tif.aux.xml", "a.tif.OVR", "A.tif.msk", "a.tfw", "a_RPC.TXT", "a.tab", "a.link"])
+@pytest.mark.parametrize("part", [False, True])
+def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
+    path = make(tmp_path / "a.tif")
+    os.mkfifo(tmp_path / "another.tfw")
+    os.symlink("nowhere", tmp_path / "a.missing")
+    (tmp_path / "a.folder").mkdir()
+    RasterSource.open(path).close()
+    os.symlink("another.tfw", tmp_path / name) if name == "a.link" else os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name} is a pipe or a device, and is read together with .*a.tif"):
+        RasterSource.open(vrt(tmp_path / "b.vrt", str(path)) if part else path)
+
+
 def test_ground_control_that_is_no_number_is_not_believed(tmp_path):
     points = [GroundControlPoint(r, c, 500_000 + c, 5_400_000 - r) for r, c in ((0, 0), (0, W), (H, 0), (H, W))]
     points[1].x = math.nan

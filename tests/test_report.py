@@ -30,7 +30,7 @@ from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.lettering import HALO, in_ascii, write_on
 from orthoscale.formats.schemas.report import Report, ReportInput
-from orthoscale.report import charts, files, pictures, places, wording
+from orthoscale.report import charts, files, pictures, places, terminal, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.drift_map import regions_panel
 from orthoscale.report.files import redraw
@@ -759,3 +759,12 @@ def test_a_scale_of_no_use_says_what_was_not_tried_yet(tmp_path, named):
     with pytest.raises(TooLittleEvidence) as caught:
         replace(result, source=source, measured=useless, detections=found).require_useful()
     assert "--gsd-hint 0.0967, as its georeferencing claims" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "sd, total, said",
+    [(0.0004, 0.03, "below 0.1 %"), (0.0006, 0.03, "0.1 %"), (0.0004, 0.001, "0.04 %"), (0.02, 0.03, "2.0 %")],
+)
+def test_parts_of_an_uncertainty_have_as_many_digits_as_the_others(sd, total, said):
+    """Beside "sampling 0.7 %" stood "tennis court 0.04 %"; of a scale that sure, it tells."""
+    assert terminal._beside_others(sd, total) == said

@@ -16,10 +16,12 @@ from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
 from ..report.result import Result
 from ..requests import FixRequest
+from ..sources.gdal import beside
 from ..sources.opening import AN_INPUT
 from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
+from ..system.untouched import inside
 from .estimate import measured, noted
 from .kept_boxes import KeptBoxes
 from .opening import source_of
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..requests import FixOptions
 
-GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by --report
 
 
@@ -172,9 +173,6 @@ class _PlanWriter:
                 extra.check(self.plan, request.keep_origin)
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
-        for suffix in GDAL_SIDECARS:
-            if os.path.lexists(beside := _beside(self.out, suffix)):
-                raise UsageError(f"{beside} would be taken for a part of {self.out}", "Move it away, or delete it.")
         main = outputs.file(self.out)
         parts = report_paths(self.out, False, self.request.report)
         parts = {kind: outputs.file(place) for kind, place in parts.items()}
@@ -182,10 +180,21 @@ class _PlanWriter:
         # Files beside a replaced copy would be taken for those of the new one.
         for kind in set(REPORT_FILES["html"]) - set(parts):
             outputs.retire(_beside(self.out, f".{kind}"))
+        taken = []
         for extra in WRITERS.values():
-            if extra not in self.extras:
-                outputs.retire(extra.place(self.out), extra.known(self.out))
+            place = extra.place(self.out)
+            if extra in self.extras or outputs.retire(place, extra.known(self.out)):
+                taken.append(place)
+        self._refuse_beside(taken)
         return main, parts
+
+    def _refuse_beside(self, taken: Sequence[Path]) -> None:
+        """Raise UsageError for a file that programs would read together with the copy, and that is none of the outputs
+        `taken`: a world file that was edited would give the copy another scale."""
+        for place in map(self.out.with_name, beside(self.out)):
+            if os.path.lexists(place) and not any(inside(place, each) for each in taken):
+                hint = "Move it away, or choose another name."
+                raise UsageError(f"{place} would be taken for a part of {self.out}", hint)
 
     def write(self, main: Path, result: Result) -> None:
         scale, place = result.scale, result.place(self.request.keep_origin)

@@ -76,10 +76,12 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]
     for a in told["anchors"]:
         where = ",".join(f"{v:.0f}" for v in a["place_px"])
-        repeated = f", {a['count']} in a row" if a["count"] > 1 else ""
+        what = f"{a['standard']}, {a['metres']:.4g} m"
+        if a["count"] > 1:
+            what = f"{a['count']} in a row, each {a['metres']:.4g} m: {a['standard']}"
         seen = f" and {a['views'] - 1} more" if a["views"] > 1 else ""
         lines += [
-            f"{a['kind']}: {a['standard']}, {a['metres']:.4g} m{repeated}, at {where} in {a['picture']}{seen}",
+            f"{a['kind']}: {what}, at {where} in {a['picture']}{seen}",
             f"           alone {a['scale']:.5g} {told['unit']} ({100 * (a['scale'] / told['scale'] - 1):+z.1f} %), "
             f"+- {100 * a['relative_sd']:.2f} % (1 sigma); lines off by {a['residual_cm']:.1f} cm",
         ]

@@ -93,7 +93,7 @@ def run(
     replaces = overwrite or (places is not None and _loses_nothing(many.summaries, found, places, request))
     with Outputs(replaces, (found, request.inputs)) as outputs, progress_bars() as progress:
         for summary in many.summaries:
-            check_summary(summary)
+            check_summary(summary, places or ())
         partials = [outputs.file(summary, is_summary) for summary in many.summaries]
         if dry_run and out is not None and not out.exists():
             rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder), as_json)

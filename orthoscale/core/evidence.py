@@ -117,7 +117,7 @@ class Compared:
     """One piece of evidence compared with the rest: the vehicles and the other evidence, combined without it.
 
     value : the scale that it means, given the rest. rest : the scale that the rest gives. sd : one sigma of the
-    difference of their logarithms. documented : as `Evidence.documented`.
+    difference of their logarithms. unit : of both scales. documented : as `Evidence.documented`.
     """
 
     kind: str
@@ -125,6 +125,7 @@ class Compared:
     value: float
     rest: float
     sd: float
+    unit: str
     documented: bool = True
 
     @property
@@ -147,7 +148,7 @@ class Compared:
         """A caution for evidence that is `doubtful`."""
         apart = f"{percent(abs(self.difference))} {'more' if self.difference > 0 else 'less'}"
         text = (
-            f"{self.says}: gives {self.value:.5g}, {apart} than the {self.rest:.5g} of everything else "
+            f"{self.says}: gives {self.value:.5g} {self.unit}, {apart} than the {self.rest:.5g} of everything else "
             f"({self.sigmas:.1f} sigma): {MAY_BE.get(self.kind, OF_ANCHORS)}"
         )
         return Remark(CAUTION, text)

@@ -11,6 +11,11 @@ CAUTION = "caution"  # a person should look at it before relying on the scale
 SUPPORT = "support"  # something that could have spoken against the scale, and does not
 INFO = "info"  # what was chosen or could not be done; neither for nor against the scale
 SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are shown
+ON_EVIDENCE, ON_PLACES, ON_PARTS = (
+    "evidence",
+    "places",
+    "parts",
+)  # checks that state what a remark says (`Remark.check`)
 
 
 ONE = {  # the singular of each plural word
@@ -32,11 +37,13 @@ def amount(number: int, what: str) -> str:
 
 @dataclass(frozen=True)
 class Remark:
-    """severity : one of SEVERITIES. text : one sentence without its full stop. hint : for a refusal, what to do."""
+    """severity : one of SEVERITIES. text : one sentence without its full stop. hint : for a refusal, what to do.
+    check : the check of the scale (`measuring.judgement`) that states the same, '' if none does."""
 
     severity: str
     text: str
     hint: str = ""
+    check: str = ""
 
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown severity."""

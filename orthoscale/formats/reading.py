@@ -92,6 +92,24 @@ def check_regular(path: Path, hint: str) -> None:
         raise InputError(f"{path}: cannot be read (it is {kind}, not a file)", hint)
 
 
+def refuse_pipes_beside(files: Iterable[Path]) -> None:
+    """Raise InputError for a pipe or a device that lies beside one of `files` and is named as if it belonged to it,
+    such as ``a.tfw`` or ``a_rpc.txt``: GDAL would read it as well, and wait for its other end."""
+    pipes = cache(_pipes_in)
+    for path in files:
+        for pipe in pipes(path.parent):
+            if pipe.name.lower().startswith((f"{path.stem.lower()}.", f"{path.stem.lower()}_")):
+                raise InputError(f"{pipe} is a pipe or a device, and is read together with {path}", "Move it away.")
+
+
+def _pipes_in(folder: Path) -> list[Path]:
+    try:
+        with os.scandir(folder) as there:
+            return [Path(one) for one in there if not (one.is_file() or one.is_dir()) and os.path.exists(one)]
+    except OSError:  # then GDAL cannot look for them either
+        return []
+
+
 def refuse_pointer(path: Path) -> None:
     """Raise InputError if `path` is only a pointer of Git LFS; anything else is left to the readers of its format."""
     if not path.is_file():

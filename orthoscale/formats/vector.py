@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from .names import finite, in_utf8
+from .degrees import WGS_84
+from .names import finite, in_utf8, json_in_utf8
 from .plain_path import writable
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
@@ -27,7 +29,8 @@ def write_layer(
     import pyogrio
     import shapely
 
-    suffix = path.suffix.lower()
+    suffix, text = path.suffix.lower(), _text(crs)
+    named = text if suffix == ".geojson" and text != WGS_84 else None
     columns = [_column([finite(row[name]) for row in rows]) for name in rows[0]]
     try:
         with warnings.catch_warnings(), writable(path) as place:
@@ -39,13 +42,23 @@ def write_layer(
                 field_mask=[mask for _, mask in columns],
                 fields=list(rows[0]),
                 geometry_type=kind,
-                crs=_text(crs),
+                crs=None if named else text,
                 driver=DRIVERS[suffix],
                 layer=layer if suffix == ".gpkg" else None,
                 append=False,
             )
     except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
         raise OSError(f"GDAL could not write the layer {layer} ({error})") from error
+    if named:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        first = {"type": whole["type"], "crs": crs_member(named)}  # before the features, where people look
+        path.write_text(json_in_utf8({**first, **whole}), encoding="utf-8")
+
+
+def crs_member(crs: str) -> dict[str, Any]:
+    """GeoJSON's member ``crs`` (of 2008) for coordinates in the WKT `crs`. Without it, they are taken for longitudes
+    and latitudes; GDAL, and so QGIS, reads a WKT in it, but writes EPSG codes only."""
+    return {"type": "name", "properties": {"name": crs}}
 
 
 def _text(crs: Any) -> str | None:

@@ -16,6 +16,7 @@ from ..formats.names import json_in_utf8
 from ..formats.pictures import write_png
 from ..formats.vector import write_layer
 from ..sources.gdal import guarded
+from ..sources.georeference import LOCAL_CRS
 from . import draw
 from .plan import Layout, document, prompt
 
@@ -36,7 +37,7 @@ def write(layout: Layout, folder: Path) -> None:
 def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write layout.gpkg in the orthophoto's CRS, with layers facilities, run_off, lines and lot; and layout.geojson
     with the playing areas, in longitude and latitude if the orthophoto has a place on Earth, else in its own
-    coordinates."""
+    coordinates, whose CRS it names."""
     ground = layout.ground
     crs = ground.crs  # a world file alone has none
 
@@ -58,7 +59,9 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     if on_earth:
         there = to_degrees(ground.crs)
         areas = [shapely.transform(a, lambda c: about_meridian(np.column_stack(there.transform(*c.T)))) for a in areas]
-    write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", WGS_84 if on_earth else None)
+    write_layer(
+        folder / "layout.geojson", "facilities", areas, rows, "Polygon", WGS_84 if on_earth else crs or LOCAL_CRS
+    )
 
 
 def write_dxf(layout: Layout, path: Path) -> None:

@@ -19,7 +19,7 @@ from ..core.scale import PER_PIXEL
 from ..errors import InputError, UsageError, shown
 from ..formats.degrees import WGS_84, about_meridian, near_on_map, to_degrees
 from ..formats.plain_path import readable
-from ..formats.reading import LARGE, check_regular, read, read_plain
+from ..formats.reading import LARGE, check_regular, read, read_plain, refuse_pipes_beside
 from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
@@ -178,6 +178,7 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
 
     if not path.is_dir():  # some formats are folders
         check_regular(path, AREA_HINT)
+        refuse_pipes_beside([path])
     if path.suffix.lower() in (".geojson", ".json"):
         read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets sound files
     try:

@@ -9,6 +9,7 @@ import numpy as np
 from ..core.evidence import BY_MAP, CONFLICT_LIMIT, Evidence
 from ..core.pooling.combining import combined
 from ..core.pooling.posterior import Posterior
+from ..core.scale import PER_PIXEL
 from ..photos.measure import Interval90
 from .claimed import BY_WORD, ClaimedScale
 
@@ -51,7 +52,7 @@ def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions
     matched = Interval90.log_normal(value, factor_sd)
     before = Posterior.normal(float(np.log(claimed.gsd.value)), claimed.sd)
     evidence = Evidence(BY_MAP, value, factor_sd, "the map's scale, by the match")
-    both = combined(before, {claimed.by: claimed.sd}, [evidence])
+    both = combined(before, {claimed.by: claimed.sd}, [evidence], PER_PIXEL)
     sigmas = abs(float(np.log(factor))) / float(np.hypot(claimed.sd, factor_sd))
     together = None if both.conflict else Interval90(*both.summary)
     return Opinions(claimed.gsd, claimed.by, matched, together, sigmas)

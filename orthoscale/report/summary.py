@@ -23,6 +23,7 @@ from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
 from ..system.paths import titles_of
 from ..system.signatures import is_signed
+from ..system.untouched import inside
 from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
@@ -55,10 +56,15 @@ Row = dict[str, Any]
 """An input, by COLUMNS."""
 
 
-def check_summary(path: Path) -> None:
-    """Raise UsageError unless `path` has an ending of a summary."""
+def check_summary(path: Path, copies: Sequence[Path] = ()) -> None:
+    """Raise UsageError unless `path` has an ending of a summary, and where it would lie in one of the `copies` that the
+    same command writes, or be named as if it belonged to one, as its report does."""
     if path.suffix.lower() not in SUMMARY_WRITERS:
         raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_WRITERS)}", "Choose one of them.")
+    for copy in copies:
+        beside = copy.suffix == ".tif" and path.name.lower().startswith(f"{copy.name.lower()}.")
+        if inside(path, copy) or beside and inside(path, copy.parent):
+            raise UsageError(f"{path} would be taken for a part of the copy {copy}", "Choose another name.")
 
 
 def is_summary(path: Path) -> bool:

@@ -17,6 +17,7 @@ from .result import Result
 from .wording import counted, counted_kinds, likely_fleets
 
 VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
+NEGLIGIBLE_PART = 0.001  # relative one sigma that one decimal of a per cent just shows
 
 
 def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
@@ -47,11 +48,17 @@ def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) 
     return "\n".join(f"{label:10s} {value}" for label, value in rows(result, written))
 
 
+def _beside_others(sd: float, total: float) -> str:
+    """A part of an uncertainty (relative one-sigma) of `total`, with one decimal as the others have."""
+    hidden = sd < NEGLIGIBLE_PART / 2 and total > 5 * NEGLIGIBLE_PART
+    return f"below {percent(NEGLIGIBLE_PART)}" if hidden else percent(sd)
+
+
 def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     """Labels and texts, the answer first, in ASCII, which every terminal and pipe can take."""
     scale = result.scale
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+z.1f} %" for name, v in scale.checks.items())
-    parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
+    parts = (f"{name} {_beside_others(sd, scale.relative_sd)}" for name, sd in scale.parts.items() if sd > 0)
     seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max(initial=0) > 1 else ""
     kinds = counted_kinds(result.vehicles["kind"][scale.used])
     rejected = {**scale.rejected, **result.rejected_boxes}

@@ -20,7 +20,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from ..errors import InputError
-from ..formats.reading import read_bytes
+from ..formats.reading import read_bytes, refuse_pipes_beside
 from ..system.budget import memory
 
 # GDAL's own cache limit is 5 % of the machine's memory, and was seen to grow past a gigabyte. This one is in bytes:
@@ -68,15 +68,16 @@ def open_dataset(path: Path, *formats: str, **options: Any) -> DatasetReader:
     """Open a file on this machine with GDAL. Call it, and use the result, within `guarded`, so that it calls no server.
 
     formats : GDAL's names of the formats that are allowed, by default all whose files are local. options : of the
-    format. Raises InputError for a file that names a pipe or device; GDAL's errors for one that it cannot open.
+    format. Raises InputError for a file that names a pipe or device, or has one beside it; GDAL's errors for one that
+    it cannot open.
     """
     _require_files(path)
     return DatasetReader(path, driver=list(formats) or _local_drivers(), sharing=False, **options)
 
 
 def _require_files(path: Path) -> None:
-    """Raises InputError if `path` is a VRT that names a pipe or device, itself or by other VRTs: GDAL would wait for
-    pixels from it forever."""
+    """Raises InputError if `path` is a VRT that names a pipe or device, itself or by other VRTs, and for one beside it
+    that GDAL would read with it: it would wait for it forever."""
     waiting, seen = [path.absolute()], set()
     while waiting:
         vrt = waiting.pop()
@@ -99,6 +100,19 @@ def _require_files(path: Path) -> None:
                     waiting.append(vrt.parent / place)
                 elif not stat.S_ISDIR(mode):
                     raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
+    refuse_pipes_beside(seen)
+
+
+def world_files(path: Path) -> tuple[str, ...]:
+    """Names of the world files that GDAL reads beside the picture `path`."""
+    ending = path.suffix[1:]
+    world = f"{ending[:1]}{ending[-1:]}w", f"{ending}w", "wld"
+    return tuple(f"{path.stem}.{end}" for each in world for end in (each.lower(), each.upper()))
+
+
+def beside(path: Path) -> tuple[str, ...]:
+    """Names of the files that GDAL reads together with the picture `path`."""
+    return *(f"{path.name}{ending}" for ending in (".aux.xml", ".ovr", ".msk")), *world_files(path)
 
 
 def _is_vrt(path: Path) -> bool:

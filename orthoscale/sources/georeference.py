@@ -19,7 +19,7 @@ from ..core.affine import transformed
 from ..errors import InputError
 from ..formats.degrees import near_on_map, to_degrees
 from ..formats.reading import is_there
-from .gdal import open_dataset, read_projection
+from .gdal import open_dataset, read_projection, world_files
 
 LINE = 1e-6  # width over length up to which points count as lying on a line
 MOST_MISFIT = 0.02
@@ -125,7 +125,7 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
 def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
     """Other pixel sizes, in words, if a TIFF or JPEG 2000 file and the files beside it contradict each other; within
     `guarded`. GDAL takes ``.aux.xml`` first, then the file, then the world file."""
-    beside = {"PAM": (f"{path.name}.aux.xml",), "INTERNAL": (path.name,), "WORLDFILE": _world_files(path)}
+    beside = {"PAM": (f"{path.name}.aux.xml",), "INTERNAL": (path.name,), "WORLDFILE": world_files(path)}
     there = {source: [n for n in names if is_there(path.with_name(n))] for source, names in beside.items()}
     if dataset.driver not in ("GTiff", "JP2OpenJPEG") or not claim.usable or not (there["PAM"] or there["WORLDFILE"]):
         return []
@@ -138,12 +138,6 @@ def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:
                     if other is not None and claim.gsd_m is not None and abs(other / claim.gsd_m - 1) > SAME_PIXEL:
                         said.append(f"{name}{' itself' if source == 'INTERNAL' else ''} says {other:.4g} m/px")
     return said
-
-
-def _world_files(path: Path) -> tuple[str, ...]:
-    ending = path.suffix[1:]
-    world = f"{ending[:1]}{ending[-1:]}w", f"{ending}w", "wld"
-    return tuple(f"{path.stem}.{end}" for each in world for end in (each.lower(), each.upper()))
 
 
 def _claim_of_gcps(dataset: DatasetReader) -> Claim:

@@ -63,14 +63,15 @@ class Outputs:
             claim.partial.mkdir()
         return claim.partial
 
-    def retire(self, path: Path, mine: Callable[[Path], bool] | None = None) -> None:
+    def retire(self, path: Path, mine: Callable[[Path], bool] | None = None) -> bool:
         """Remove at the end an older output of orthoscale at `path`, which would be taken for a part of the new one;
-        files of others stay. Raises UsageError for one that was edited."""
+        files of others stay. Returns whether it will be removed. Raises UsageError for one that was edited."""
         why = why_not_ours(path, mine) if self.overwrite and os.path.lexists(path) else None
         if why == CHANGED:
             raise UsageError(f"{path} {why}, and would be taken for a part of the new output", "Move it away.")
         if why == "":
             self._claim(path, mine, folder=path.is_dir()).retired = True
+        return why == ""
 
     def protect(self, *inputs: Path) -> None:
         """Protect more inputs, found while opening the given ones. Raises UsageError if an output touches them."""

@@ -25,6 +25,7 @@ from .paths import homes
 
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
 CHANGED = "was changed since orthoscale wrote it"
+NOT_OURS = "was not written by orthoscale under this name"
 OF_ROWS = "type = 'table' AND name NOT LIKE 'rtree%' AND name NOT LIKE 'sqlite%'"  # of tables with rows of their own
 NOT_SUMMED = "0" * 8  # in place of the CRC-32 [hex] while a file is written
 PNG_TEXT = b"tEXtSoftware\0"  # type and keyword of the chunk that signs a PNG
@@ -69,7 +70,8 @@ def why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
             changed = known and _is_edited(path, file, sums)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    return CHANGED if changed else "" if known else "was not written by orthoscale under this name"
+    other = "is another kind of output of orthoscale" if sums else f"{NOT_OURS}, or was changed" if mine else NOT_OURS
+    return CHANGED if changed else "" if known else other
 
 
 def was_changed(folder: Path) -> bool:
@@ -79,7 +81,7 @@ def was_changed(folder: Path) -> bool:
 
 def _why_not_our_folder(folder: Path) -> str:
     if _listed(folder) is None:
-        return "was not written by orthoscale under this name"
+        return NOT_OURS
     for name, written in _not_ours(folder):
         return f"holds {name}, which {CHANGED if written else 'orthoscale did not write'}"
     return ""

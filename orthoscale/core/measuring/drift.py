@@ -9,7 +9,7 @@ import numpy as np
 
 from ..normal import Z90
 from ..projection.planar import square_pixels
-from ..remarks import CAUTION, REFUSAL, Remark, percent
+from ..remarks import REFUSAL, Remark, percent
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
@@ -106,14 +106,14 @@ class Drift(Trend):
         return [f"the scale {' and '.join(found)}: {why}"] if found else []
 
 
-def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale:
+def with_drift(scale: Scale, amplitude: float, warnings: Sequence[Remark]) -> Scale:
     """`scale` as it holds at any one place of its source, where the scales of places differ by up to `amplitude`
     (relative).
 
     How far a place strays from the mean becomes a part of the uncertainty: EVEN_SD of the amplitude, as for a uniform
     distribution. Interval and verdict follow. Where the amplitude exceeds the width of the 90 % interval, places
     exclude each other's scale, and the verdict is lowered by one step at least. Where it becomes ``unusable``, no
-    single scale describes the source, and the `warnings` become refusals.
+    single scale describes the source, and the `warnings`, cautions, become refusals.
     """
     word = scale.verdict
     if amplitude > 0:
@@ -122,8 +122,7 @@ def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale
         scale = scale.with_parts({**scale.parts, "drift": EVEN_SD * amplitude})
         scale = replace(scale, verdict=worst(scale.verdict, one_step_below(word) if lowered else word))
     refused = scale.verdict == UNUSABLE != word
-    said = [Remark(REFUSAL if refused else CAUTION, text, TO_MEND if refused else "") for text in warnings]
-    return scale.remarked(*said)
+    return scale.remarked(*(replace(w, severity=REFUSAL, hint=TO_MEND) if refused else w for w in warnings))
 
 
 def drift(vehicles: np.ndarray, width: float, height: float, gsd: float, aspect: float = 1.0) -> Drift | None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
-from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
+from ..remarks import CAUTION, INFO, ON_PLACES, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
 from ..scale import Scale
 from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
@@ -34,11 +34,8 @@ def judgements(
     """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames, _parts)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
-    # Not repeated: what the checks `_evidence`, `_places`, `_frames` and `_parts` state.
-    told = [*measured.scale.support.refusals, *(() if measured.drift is None else measured.drift.warnings)]
-    told += [] if measured.parts is None else [measured.parts.contradiction]
     remarks = measured.remarks if remarks is None else remarks
-    said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
+    said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and not r.check]
     return by_severity([*found, *_largest(measured), *(Judgement(r.severity, "Remark", r.text) for r in said)])
 
 
@@ -119,7 +116,7 @@ def _places(measured: Measurement) -> Judgement | None:
     if drift is None or drift.trend is None:
         return Judgement(INFO, "Places not compared", "too few vehicles")
     if drift.drifts:
-        refused = any(r.severity == REFUSAL and r.text in drift.warnings for r in measured.remarks)
+        refused = any(r.severity == REFUSAL and r.check == ON_PLACES for r in measured.remarks)
         return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", f"{drift.trend.figures}, significant")
     if drift.trend.tilt > _small(measured.scale):
         return Judgement(INFO, "Drift neither found nor excluded", drift.trend.figures)

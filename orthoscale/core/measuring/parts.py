@@ -9,7 +9,7 @@ import numpy as np
 
 from ..detections import Detections
 from ..pooling.agreement import CONTRADICTION
-from ..remarks import CAUTION, REFUSAL, Remark, amount
+from ..remarks import CAUTION, ON_PARTS, REFUSAL, Remark, amount
 from ..scale import Scale
 from ..verdicts import AT_BEST_DOUBTED
 from .surface import LOTS_SD
@@ -93,7 +93,7 @@ class Parts:
         """
         if self.contradict:
             wide = scale.contradicted_by([part.scale for part in self.known])
-            return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT))
+            return wide.remarked(Remark(REFUSAL, self.contradiction, SPLIT_HINT, ON_PARTS))
         without = sum(map(len, self.unknown))
         if without < FEW_IMAGES * (without + sum(len(part.images) for part in self.known)):
             return scale
@@ -107,7 +107,8 @@ def _named(images: Sequence[str]) -> str:
 
 
 def _of_part(part: PartScale) -> str:
-    return f"{_named(part.images)} give {part.scale.value:.4g} by {amount(part.scale.vehicles_used, 'vehicles')}"
+    scale = part.scale
+    return f"{_named(part.images)} give {scale.value:.4g} {scale.unit} by {amount(scale.vehicles_used, 'vehicles')}"
 
 
 def _without(images: Sequence[str]) -> str:

@@ -17,6 +17,7 @@ from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import alone, compare, of_scales, together
 from ..projection.own_ruler import OwnRuler
+from ..remarks import CAUTION, ON_PLACES, Remark
 from ..scale import Scale
 from ..source import PosedSet, Source
 from .contradiction import Cause, cause
@@ -161,6 +162,7 @@ def _of_one_scale(measured: Measurement, stray: float = 0.0, said: str = "") -> 
     """`measured`, with the drift of its scale as a part of the uncertainty: the scale at one place is less certain than
     the mean. stray, said : of `patches.other_size`, which is like a drift."""
     drift = measured.drift
-    amplitude, warnings = (0.0, []) if drift is None else (drift.amplitude, drift.warnings)
-    warnings = [*warnings, said] if said else warnings
+    amplitude, texts = (0.0, []) if drift is None else (drift.amplitude, drift.warnings)
+    warnings = [Remark(CAUTION, text, check=ON_PLACES) for text in texts]
+    warnings += [Remark(CAUTION, said)] if said else []
     return replace(measured, scale=with_drift(measured.scale, float(np.hypot(amplitude, stray)), warnings))

@@ -31,7 +31,7 @@ def measured_without_vehicles(
     """
     if len({e.kind for e in evidence}) < FEWEST_KINDS:
         raise _too_little(", ".join(e.says for e in evidence) or "none")
-    together = combined(None, {}, evidence)
+    together = combined(None, {}, evidence, unit)
     value, low, high = together.summary
     judged = together.support.judged(together.posterior.spread)
     said = verdict(judged, False, together.conflict > 0, together.support.doubted)

@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from ..evidence import BY_CONTROL, BY_DISTANCE, BY_GPS, BY_MAP, CONFLICT_LIMIT, SUPPORTS, Compared, Evidence, Support
 from ..normal import Z90
-from ..remarks import CAUTION, INFO, REFUSAL, Remark
+from ..remarks import CAUTION, INFO, ON_EVIDENCE, REFUSAL, Remark
 from .posterior import Posterior
 
 STRONG = 0.05  # probability of a false find up to which an anchor may contradict others
@@ -56,21 +56,23 @@ class Combined:
     support: Support = Support()
 
 
-def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
+def combined(
+    vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence], unit: str
+) -> Combined:
     """The combination of `vehicles` and all `evidence`; `parts` are the one-sigmas of the vehicles' uncertainty by
-    cause.
+    cause, `unit` is that of all scales.
 
     vehicles : None if there are none; then there must be evidence, and the prior of the scale is flat. In a conflict
     the most certain measurement without doubt gives the value, or the most certain strong one if all are doubtful, and
     the interval covers all of them.
     """
     before = _anything(evidence) if vehicles is None else vehicles
-    heard, unheard = _within_reach(before, evidence)
+    heard, unheard = _within_reach(before, evidence, unit)
     strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
-    conflict, conflicts = _conflicts(vehicles, strong)
+    conflict, conflicts = _conflicts(vehicles, strong, unit)
     if not conflict:
         weighed = _weighed(before, parts, evidence, heard)
-        support = replace(weighed.support, compared=_compared(vehicles, heard))
+        support = replace(weighed.support, compared=_compared(vehicles, heard, unit))
         doubtful = [one.remark for one in support.compared if one.doubtful]
         remarks = [*doubtful, *(remark for _, remark in unheard), *weighed.remarks]
         return replace(weighed, remarks=remarks, support=support)
@@ -82,7 +84,7 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     told = tuple(e.meant(before) for e in evidence)
     whose = Remark(CAUTION, f"the scale is that of the most certain side alone, {name}; the interval covers all")
     parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
-    refusals = [Remark(REFUSAL, text, _hint(vehicles, strong)) for text in support.refusals]
+    refusals = [Remark(REFUSAL, text, _hint(vehicles, strong), ON_EVIDENCE) for text in support.refusals]
     remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
     return Combined(posterior, parts, conflict, remarks, summary, told, support)
 
@@ -100,7 +102,7 @@ def _anything(evidence: Sequence[Evidence]) -> Posterior:
     return Posterior.normal(float(np.log(surest.value)), ANYTHING)
 
 
-def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[str]]:
+def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence], unit: str) -> tuple[float, list[str]]:
     """Sigmas between the two measurements that contradict each other most, 0 where none do; and the figures of each
     pair that does, those furthest apart first. Two pieces of evidence are compared by the errors that they do not
     share.
@@ -115,7 +117,7 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
     limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
     apart = sorted((pair for pair in pairs if pair[1] > limit), key=lambda pair: -pair[1])
     figures = [
-        f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}, {sigmas:.1f} sigmas apart"
+        f"{name}: {np.exp(here):.5g} {unit}, {other_name}: {np.exp(there):.5g} {unit}, {sigmas:.1f} sigmas apart"
         for name, sigmas, here, there, other_name in apart
     ]
     return (apart[0][1] if apart else 0.0), figures
@@ -130,7 +132,7 @@ def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior,
     return Posterior.normal(surest.centre, spread), summary
 
 
-def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Compared, ...]:
+def _compared(vehicles: Posterior | None, heard: Sequence[Evidence], unit: str) -> tuple[Compared, ...]:
     """Each piece of `heard` compared with `vehicles` and the other pieces, if there are any: not with the combination
     of all, which may be little more than the piece itself."""
     found = []
@@ -142,7 +144,7 @@ def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Co
         shared = min(e.common**2, common)
         e = e.meant(rest)
         sd = float(np.hypot(rest.blurred(-shared).spread, np.sqrt(e.relative_sd**2 - shared)))
-        found.append(Compared(e.kind, e.says, e.value, float(np.exp(rest.centre)), sd, e.documented))
+        found.append(Compared(e.kind, e.says, e.value, float(np.exp(rest.centre)), sd, unit, e.documented))
     return tuple(found)
 
 
@@ -185,7 +187,7 @@ def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
 
 
 def _within_reach(
-    vehicles: Posterior, evidence: Sequence[Evidence]
+    vehicles: Posterior, evidence: Sequence[Evidence], unit: str
 ) -> tuple[list[Evidence], list[tuple[Evidence, Remark]]]:
     """The evidence that counts, without its scales that lie outside of the vehicles' interval and that no other
     evidence supports; and the evidence that does not count at all, each piece with a remark."""
@@ -208,7 +210,7 @@ def _within_reach(
         else:
             e = e.meant(vehicles)
             text = (
-                f"{e.says}: would give {e.value:.5g}, outside the vehicles' {100 * ALONE:.1f} % interval "
+                f"{e.says}: would give {e.value:.5g} {unit}, outside the vehicles' {100 * ALONE:.1f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
             unheard.append((e, Remark(CAUTION, text)))

@@ -83,7 +83,7 @@ def pool(
     used[index] = best.inlier
     mean = np.log(size[best.inlier]).mean(0)
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
-    together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
+    together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)), unit)
     value, low, high = together.summary
     judged = together.support.judged(together.posterior.spread)
     return Scale(

@@ -22,7 +22,8 @@ from ...errors import InputError, OutputError, shown
 from ..degrees import WGS_84, about_meridian, near_on_map
 from ..names import json_in_utf8
 from ..plain_path import readable, writable
-from ..reading import EXPORT_ANEW, check_regular, checked, parsed
+from ..reading import EXPORT_ANEW, check_regular, checked, parsed, refuse_pipes_beside
+from ..vector import crs_member
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
 
@@ -30,6 +31,7 @@ LAYER = "vehicles"
 # GeoPackage has no lists: the columns that hold the values of each list.
 LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
+PIXEL_CRS = 'LOCAL_CS["orthoscale pixels",UNIT["pixel",1]]'  # nowhere on Earth
 LENGTH_FIELD = "length_px"  # the property of a feature
 
 
@@ -123,7 +125,8 @@ def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mappin
         geometry = {"type": "Polygon", "coordinates": [ring]}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     told = {**note, **({"coordinates": PIXELS} if place is None else {})}
-    return {"type": "FeatureCollection", "orthoscale": told, "features": features}
+    of_crs = {"crs": crs_member(PIXEL_CRS)} if place is None else {}
+    return {"type": "FeatureCollection", **of_crs, "orthoscale": told, "features": features}
 
 
 # GeoPackage
@@ -138,6 +141,7 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
     import shapely.geometry
 
     check_regular(path, "Give a detections file.")
+    refuse_pipes_beside([path])
     try:
         with readable(path) as file:
             names = [str(name) for name in pyogrio.list_layers(file)[:, 0]]
