@@ -115,7 +115,7 @@ def test_what_is_no_vehicle_says_nothing_of_shadows():
     vehicle, none = np.zeros(len(size), bool), np.ones(len(roofs), bool)
     _, alone = _without_shadows(told(size, light, vehicle), 1.0)
     both = told(np.r_[size, roofs], np.r_[light, np.zeros(100)], np.r_[vehicle, none])
-    assert _without_shadows(both, 1.0)[1] == pytest.approx(alone, abs=0.002)
+    assert _without_shadows(both, 1.0)[1] == pytest.approx(alone, rel=1e-12)
 
 
 def test_half_as_many_lorries_among_the_dark_ones_change_nothing():

@@ -207,7 +207,8 @@ def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -
 def _without_shadows(told: Mapping[str, Measured], pixel: float) -> tuple[dict[str, Measured], np.ndarray]:
     """`told` without the shadows in the boxes of dark vehicles, and (2,) the log factor of length and width that this
     takes off. pixel : as in `_moved_out`."""
-    every = [(np.log(t.boxes.xylwa[:, 2:4]), np.where(t.kind[:, -1] < NONE, t.light, np.nan)) for t in told.values()]
+    vehicles = [(t.boxes.xylwa, t.light, t.kind[:, -1] < NONE) for t in told.values()]
+    every = [(np.log(xylwa[vehicle, 2:4]), light[vehicle]) for xylwa, light, vehicle in vehicles]
     too_large = np.zeros(2)
     if every:
         log_size, light = (np.concatenate(part) for part in zip(*every, strict=True))
