@@ -105,7 +105,7 @@ MUTANTS = (
     ),
     Mutant("core/measuring/drift.py", "EVEN_SD = 12**-0.5", "EVEN_SD = 0.1", LOWERED),
     Mutant("core/measuring/drift.py", "one_step_below(word) if lowered else word", "word", LOWERED),
-    Mutant("core/measuring/drift.py", "REFUSAL if refused else CAUTION", "CAUTION", LOWERED),
+    Mutant("core/measuring/drift.py", "severity=REFUSAL, hint=TO_MEND", "hint=TO_MEND", LOWERED),
     Mutant("core/projection/exact.py", "roof: float = 1.5", "roof: float = 1.8", BODY),
     Mutant("core/projection/exact.py", "corner: float = 0.25", "corner: float = 0.15", BODY),
     Mutant(
