@@ -11,11 +11,8 @@ CAUTION = "caution"  # a person should look at it before relying on the scale
 SUPPORT = "support"  # something that could have spoken against the scale, and does not
 INFO = "info"  # what was chosen or could not be done; neither for nor against the scale
 SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are shown
-ON_EVIDENCE, ON_PLACES, ON_PARTS = (
-    "evidence",
-    "places",
-    "parts",
-)  # checks that state what a remark says (`Remark.check`)
+# Checks that state what a remark says (`Remark.check`).
+ON_EVIDENCE, ON_PLACES, ON_PARTS = "evidence", "places", "parts"
 
 
 ONE = {  # the singular of each plural word
