@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.anchors import vote
 from support.simulate import car_park
+from test_enlarged import Pixels
 
 from orthoscale.core.anchors import Standard
 from orthoscale.core.evidence import Evidence
@@ -17,6 +18,8 @@ from orthoscale.core.remarks import INFO, REFUSAL
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import PER_PIXEL
 from orthoscale.fleets import load_fleet
+from orthoscale.report.anchors import size_of
+from orthoscale.report.scene import _crop
 
 SD = 0.05  # of the vehicles
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
@@ -190,6 +193,19 @@ def test_what_is_in_a_row_is_told_as_how_many_of_what_length():
         ([row, row], "2 x crossing (14 in rows, each 1 m: stripes 0.50 m, gaps 0.50 m)"),
     ):
         assert evidence_of(votes)[0].says == said
+
+
+def test_a_picture_of_a_row_has_the_words_of_the_report():
+    """The picture's title was still "stripes 0.50 m, gaps 0.50 m, 1 m, 7 in a row"."""
+    crossing = {"kind": "crossing", "standard": "stripes 0.50 m, gaps 0.50 m", "metres": 1.0, "counted": True}
+    crossing["lines_px"] = [[[2, 2], [9, 2]]]
+    picture = Pixels(np.zeros((20, 20, 3), np.uint8))
+    for count, said in (
+        (1, "stripes 0.50 m, gaps 0.50 m, 1 m"),
+        (7, "7 in a row, each 1 m: stripes 0.50 m, gaps 0.50 m"),
+    ):
+        assert size_of({**crossing, "count": count}) == said
+        assert _crop({**crossing, "count": count}, picture).title == f"crossing: {said}"
 
 
 def test_an_odd_one_among_many_does_not_count():

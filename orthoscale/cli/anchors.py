@@ -55,6 +55,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     looked for at the scale that the vehicles give, or at --scale.
     """
     from ..actions.list_anchors import list_anchors, one_file
+    from ..report.anchors import size_of
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
@@ -76,12 +77,9 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]
     for a in told["anchors"]:
         where = ",".join(f"{v:.0f}" for v in a["place_px"])
-        what = f"{a['standard']}, {a['metres']:.4g} m"
-        if a["count"] > 1:
-            what = f"{a['count']} in a row, each {a['metres']:.4g} m: {a['standard']}"
         seen = f" and {a['views'] - 1} more" if a["views"] > 1 else ""
         lines += [
-            f"{a['kind']}: {what}, at {where} in {a['picture']}{seen}",
+            f"{a['kind']}: {size_of(a)}, at {where} in {a['picture']}{seen}",
             f"           alone {a['scale']:.5g} {told['unit']} ({100 * (a['scale'] / told['scale'] - 1):+z.1f} %), "
             f"+- {100 * a['relative_sd']:.2f} % (1 sigma); lines off by {a['residual_cm']:.1f} cm",
         ]

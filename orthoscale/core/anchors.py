@@ -35,6 +35,12 @@ class Standard:
     documented: bool = field(default=True, compare=False)
 
 
+def size_in_words(standard: str, metres: float, rows: str = "") -> str:
+    """The name of a `standard` and its `metres`, for people. rows : how many there are, as "7 in a row", if their
+    distance is meant: that of a crossing with "stripes 0.50 m, gaps 0.50 m" is 1 m."""
+    return f"{rows}, each {metres:.4g} m: {standard}" if rows else f"{standard}, {metres:.4g} m"
+
+
 def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
     """The `standards` that hold in `country`: those that name it, else those that apply everywhere, else all."""
     own = [standard for standard in standards if country in standard.countries]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.affine import transformed
-from ..core.anchors import AnchorVote
+from ..core.anchors import AnchorVote, size_in_words
 from ..core.source import Placement
 from ..formats.vector import write_layer
 
@@ -25,6 +25,12 @@ def entries(votes: Sequence[AnchorVote], metres_per_unit: float, counted: Collec
     end to end, in ``picture``.
     """
     return [_entry(vote, metres_per_unit, vote.anchor.kind in counted) for vote in votes]
+
+
+def size_of(entry: Mapping[str, Any]) -> str:
+    """The standard of one of the `entries` and its size, for people."""
+    rows = f"{entry['count']} in a row" if entry["count"] > 1 else ""
+    return size_in_words(entry["standard"], entry["metres"], rows)
 
 
 def _entry(vote: AnchorVote, metres_per_unit: float, of_use: bool) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from ..formats.pictures import jpeg
 from ..requests import command_line
 from ..system.paths import title_of
 from . import charts, places, wording
+from .anchors import size_of
 from .explanation import explain
 from .scene import Panel, ReportPictures
 from .stored import completed
@@ -146,7 +147,8 @@ def _anchor(anchor: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, A
     """What the page says about one anchor."""
     alone = f"{signed(relative(anchor['scale'], report))} ± {percent(Z90 * anchor['relative_sd'])}"
     pictures = f"{anchor['views']} pictures" if anchor["views"] > 1 else anchor["picture"]
-    return {**anchor, "alone": alone, "pictures": pictures, "residual": f"{anchor['residual_cm']:.1f} cm"}
+    residual = f"{anchor['residual_cm']:.1f} cm"
+    return {**anchor, "size": size_of(anchor), "alone": alone, "pictures": pictures, "residual": residual}
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:

@@ -15,6 +15,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
+from .anchors import size_of
 from .stored import completed, of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
@@ -213,9 +214,7 @@ def _crop(anchor: Mapping, picture: Picture) -> Panel:
     zoom = ANCHOR_CROP / int(size.max())
     out = np.maximum(np.round(size * zoom).astype(int), 1)
     image = picture.read(*first.tolist(), *size.tolist(), *out.tolist())
-    title = f"{anchor['kind']}: {anchor['standard']}, {anchor['metres']:g} m"
-    if anchor["count"] > 1:
-        title += f", {anchor['count']} in a row"
+    title = f"{anchor['kind']}: {size_of(anchor)}"
     outlines = [Outline((line - first) * zoom, anchor["counted"], title) for line in lines]
     return Panel(title, image, outlines, fine=True)
 

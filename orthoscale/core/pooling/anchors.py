@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..anchors import BAYS, AnchorVote, Standard, holding
+from ..anchors import BAYS, AnchorVote, Standard, holding, size_in_words
 from ..evidence import Evidence
 from .posterior import Posterior
 
@@ -194,7 +194,5 @@ def _in_words(kind: str, votes: Sequence[AnchorVote], standard: Standard) -> str
     """For people: what was found, and what it is taken for."""
     count, repeated = len(votes), sum(vote.anchor.count for vote in votes)
     many = f"{count} x {kind}" if count > 1 else kind
-    if repeated == count:
-        return f"{many} ({standard.name}, {standard.metres:.4g} m)"
-    rows = f"{repeated} in {'rows' if count > 1 else 'a row'}, each {standard.metres:.4g} m"
-    return f"{many} ({rows}: {standard.name})"  # a period of 1 m is "stripes 0.50 m, gaps 0.50 m"
+    rows = f"{repeated} in {'rows' if count > 1 else 'a row'}" if repeated > count else ""
+    return f"{many} ({size_in_words(standard.name, standard.metres, rows)})"
