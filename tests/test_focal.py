@@ -10,6 +10,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.geometry import larger_by
 from orthoscale.core.projection.exact import ground_size
 from orthoscale.core.projection.level import level_views, up_from_gimbal
+from orthoscale.errors import InputError
 from orthoscale.sources import focal
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.focal import SYSTEMATIC, bend_sd, focal_doubt, focal_sd
@@ -196,6 +197,21 @@ def test_footprints_stay_and_heights_follow():
     before, after = (ground_size(boxes, v, 1.0) for v in (views, longer))
     assert (after[0] > before[0]).all()  # less of the box is height
     assert after == pytest.approx(before, rel=0.03)
+
+
+@pytest.mark.parametrize("times, named", [(1, False), (15, True)])
+def test_without_ground_a_focal_length_that_ran_away_is_named(suburb, tmp_path, times, named):
+    """As of flat blocks that COLMAP drew out along the rays: a focal length of twelve widths of the picture."""
+    block(suburb, tmp_path, 90)
+    source = ColmapSource.open(tmp_path, need_images=False)
+    for point in source._model.points3D.values():
+        point.xyz = (0, 0, 0)
+    camera = source._model.cameras[1]
+    camera.params = np.array([times, 1, 1]) * camera.params
+    with pytest.raises(InputError, match="no ground surface lies below") as caught:
+        _ = source.ground
+    assert ("focal length of camera 1 is 1" in caught.value.message) == named
+    assert ("ba_refine_focal_length 0" in caught.value.hint) == named
 
 
 def test_boxes_that_no_vehicle_gives_do_not_count_for_the_focal_length():

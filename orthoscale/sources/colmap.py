@@ -33,7 +33,7 @@ from .database import pose_priors
 from .dense_cloud import DenseCloud, sparse_points
 from .dense_ground import dense_ground
 from .fingerprint import Stamp, content_hash, require_unchanged
-from .focal import bend_sd, focal_doubt
+from .focal import bend_sd, focal_doubt, without_ground
 from .frame_check import check_frames
 from .frames import find_frames
 from .ground import Ground
@@ -150,7 +150,11 @@ class ColmapSource:
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
         centres = np.array(list(self._cameras.values()))
-        return self._on_cloud(Ground.fit(points, centres), points, centres)
+        try:
+            sparse = Ground.fit(points, centres)
+        except InputError as error:
+            raise without_ground(self._model, error) from error
+        return self._on_cloud(sparse, points, centres)
 
     def _on_cloud(self, sparse: Ground, points: np.ndarray, centres: np.ndarray) -> Ground:
         """The ground found from the dense cloud as well, if there is one. Without one, and if one that the user did not

@@ -45,6 +45,7 @@ OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the 
 FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
+LONGEST_LENS = 4.0  # longer sides of the picture: 144 mm on full frame, twice the longest that maps are flown with
 LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
 
 
@@ -80,6 +81,20 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
         f"{has:.0f} px in the model"
     )
     return FocalDoubt(ratio, sd * by_lens / float(np.hypot(sd, by_lens)), what)
+
+
+def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputError:
+    """The `error` that no ground was found, or, if a focal length of `model` ran away, one that names it."""
+    cameras = [model.camera(model.image(number).camera_id) for number in model.reg_image_ids()]
+    sides, longest = max((c.mean_focal_length() / max(c.width, c.height), c.camera_id) for c in cameras)
+    if sides < LONGEST_LENS:
+        return error
+    return InputError(
+        f"{error.message}, and the focal length of camera {longest} is {sides:.0f} times the longer side of its "
+        "pictures: flat ground seen from straight above does not determine it",
+        "Reconstruct with the focal length of the lens, and keep it there (COLMAP: --ImageReader.camera_params and "
+        "--Mapper.ba_refine_focal_length 0), or with some oblique photos.",
+    )
 
 
 def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
