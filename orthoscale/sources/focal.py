@@ -45,7 +45,7 @@ OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the 
 FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
-LONGEST_LENS = 4.0  # longer sides of the picture: 144 mm on full frame, twice the longest that maps are flown with
+LONGEST_LENS = 2.5  # longer sides of the picture: 90 mm on full frame; aerial cameras have two at most
 LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
 
 

@@ -32,11 +32,7 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
     for tag, value in dict(exif).items():
         (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
     if gps:
-        lon, lat, *altitude = gps
-        sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
-        tags.get_ifd(0x8825).update(
-            {**sides, 2: dms(abs(lat)), 4: dms(abs(lon)), **dict(zip([6], altitude, strict=False))}
-        )
+        add_gps(tags, *gps)
     inner, _, elements = xmp.partition("|")
     packet = (
         '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
@@ -47,6 +43,12 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
     )
     image.save(path, exif=tags, xmp=packet.encode() if xmp else b"")
     return path
+
+
+def add_gps(tags, lon, lat, *altitude):
+    """Add a position to `tags`, a PIL.Image.Exif."""
+    sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
+    tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon)), **dict(zip([6], altitude, strict=False))})
 
 
 def dms(value):
