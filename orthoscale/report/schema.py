@@ -14,4 +14,19 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 def report_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of what `fix` writes and ``estimate --json`` prints."""
-    return {"$schema": DRAFT, "title": FORMAT, **msgspec.json.schema(Report)}
+    return {"$schema": DRAFT, "title": FORMAT, **_alike(msgspec.json.schema(Report))}
+
+
+def _alike(part: Any) -> Any:
+    """The `part` of a schema in the same form by all versions of msgspec: each description on one line, alternatives in
+    alphabetical order."""
+    if isinstance(part, list):
+        return [_alike(each) for each in part]
+    if not isinstance(part, dict):
+        return part
+    part = {key: _alike(value) for key, value in part.items()}
+    if isinstance(part.get("description"), str):
+        part["description"] = " ".join(part["description"].split())
+    if "anyOf" in part:
+        part["anyOf"] = sorted(part["anyOf"], key=str)
+    return part
