@@ -27,10 +27,9 @@ def explain(report: Path, as_json: bool) -> None:
     from ..formats.reading import LARGE, checked, read_plain
     from ..formats.schemas.report import Explained
     from ..report import explanation
-    from ..report.stored import upgraded
 
     hint = "Give the report.json of a run."
-    text = upgraded(read_plain(report, "a report", hint, LARGE))
+    text = read_plain(report, "a report", hint, LARGE)
     checked(text, Explained, str(report), "a report of orthoscale", hint)
     try:
         found = explanation.explain(text)

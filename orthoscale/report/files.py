@@ -84,7 +84,7 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     """The source of a report, and ''; or None, and why it cannot be used."""
     settings = report["settings"]
     # Relative names start from the folder of the first run, or from the report's if it was moved with its input.
-    starts = [Path(report["input"].get("folder", "")), path.parent, Path()]
+    starts = [Path(report["input"]["folder"]), path.parent, Path()]
     found = _there(report["input"]["path"], starts)
     if found is None:
         return None, f"{report['input']['path']} is not there"
