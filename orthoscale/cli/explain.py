@@ -23,7 +23,6 @@ def explain(report: Path, as_json: bool) -> None:
 
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
     """
-    from ..errors import InputError
     from ..formats.reading import LARGE, checked, read_plain
     from ..formats.schemas.report import Explained
     from ..report import explanation
@@ -31,8 +30,5 @@ def explain(report: Path, as_json: bool) -> None:
     hint = "Give the report.json of a run."
     text = read_plain(report, "a report", hint, LARGE)
     checked(text, Explained, str(report), "a report of orthoscale", hint)
-    try:
-        found = explanation.explain(text)
-    except InputError as error:
-        raise InputError(f"{report}: {error.message}", error.hint) from error
+    found = explanation.explain(text)
     echo(json_in_utf8(found) if as_json else explanation.in_words(found))

@@ -50,7 +50,7 @@ class Explained(Struct):
 
     scale: Positive
     unit: Name
-    uncertainty: dict[str, Annotated[float, Meta(ge=0, le=1e3)]]
+    uncertainty: Annotated[dict[str, Annotated[float, Meta(ge=0, le=1e3)]], Meta(min_length=1)]
     vehicles_used: Count
     fleet: Name
     verdict: Name
