@@ -37,17 +37,8 @@ class ModelOutcome:
         if self.result is None:
             assert self.error is not None, "it is one of the two"
             return {"model": str(self.model), "error": str(self.error), "exit_code": self.error.exit_code}
-        scale = self.result.scale
         missing = {"missing": self.error.message} if self.error else {}
-        return {
-            "model": str(self.model),
-            "scale": scale.value,
-            "unit": scale.unit,
-            "interval90": list(scale.interval90),
-            "verdict": scale.verdict,
-            "vehicles_used": scale.vehicles_used,
-            **missing,
-        }
+        return {"model": str(self.model), **self.result.scale.document(), **missing}
 
 
 def models_in(path: Path) -> list[Path]:

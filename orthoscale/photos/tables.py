@@ -112,7 +112,7 @@ def document(
         text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
             "uncertainty": together.scale.parts,
-            "remarks": [{"severity": r.severity, "text": r.text} for r in together.scale.remarks],
+            "remarks": [remark.document() for remark in together.scale.remarks],
         }
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 
