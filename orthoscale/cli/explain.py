@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..system.printing import echo
-from .options import CONVERTING, PATH, command, debug_option, json_option
+from .options import CONVERTING, PATH, command, debug_option, json_option, say_json
 
 
 @command(
@@ -31,4 +30,4 @@ def explain(report: Path, as_json: bool) -> None:
     text = read_plain(report, "a report", hint, LARGE)
     checked(text, Explained, str(report), "a report of orthoscale", hint)
     found = explanation.explain(text)
-    echo(json_in_utf8(found) if as_json else explanation.in_words(found))
+    say_json(found) if as_json else echo(explanation.in_words(found))

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
+from ..formats.names import write_json
 from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs
@@ -19,7 +20,7 @@ from .page import page
 from .pictures import draw
 from .result import Result
 from .scene import ReportPictures
-from .stored import of_plan, read_json, write_json
+from .stored import of_plan, read_json
 
 DRAWN_AS = (".html", ".htm", ".png")
 Attempt = Callable[[Path, str], AbstractContextManager[None]]

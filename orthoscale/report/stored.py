@@ -1,4 +1,4 @@
-"""A report as a file: written, and read again."""
+"""A report that is read again from its file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, shown
-from ..formats.names import each_text, json_in_utf8, out_of_utf8
+from ..formats.names import each_text, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
 
 FORMAT = "orthoscale report 2"
@@ -26,14 +26,8 @@ def pixel_size(report: Mapping[str, Any]) -> tuple[float, float]:
     return report["scale"] * wide, report["scale"] / wide
 
 
-def write_json(report: Mapping[str, Any], path: Path) -> None:
-    """Write the report as UTF-8 to `path`, from where the caller moves it into place; `in_utf8` escapes names that are
-    not UTF-8. Raises OSError."""
-    path.write_text(json_in_utf8(report, indent=1) + "\n", encoding="utf-8")
-
-
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a report that `write_json` wrote, its escaped names restored. Raises InputError for anything else."""
+    """Read a report that `names.write_json` wrote, its escaped names restored. Raises InputError for anything else."""
     from ..formats.schemas.report import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
