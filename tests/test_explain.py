@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from support.in_process import run
+from test_json import REPORT as WHOLE
 
 from orthoscale.core.control import READING_SD, known_distance
 from orthoscale.report.explanation import explain, in_words
@@ -89,17 +90,18 @@ def test_vehicles_of_one_size_leave_the_papers_estimator_nothing_to_explain():
     assert found["relative_sd"] == 0 and not found["parts"] and "all of one size" in in_words(found)
 
 
-@pytest.mark.parametrize("report", [{}, [], {**REPORT, "uncertainty": {}}, {**REPORT, "uncertainty": {"fleet": "x"}},
-                                    {**REPORT, "scale": None}])  # fmt: skip
+@pytest.mark.parametrize("report", [{}, [], {**WHOLE, "uncertainty": {}}, {**WHOLE, "uncertainty": {"fleet": "x"}},
+                                    {**WHOLE, "scale": None}])  # fmt: skip
 def test_what_is_no_report_is_refused(tmp_path, report):
     (tmp_path / "report.json").write_text(json.dumps(report))
     refused = run("explain", tmp_path / "report.json")
-    assert refused.returncode == 5 and "report.json: not a report of orthoscale" in refused.stderr
+    said = "not a report" if report else "a report of another version (no format"
+    assert refused.returncode == 5 and f"report.json: {said}" in refused.stderr
 
 
 def test_the_command(tmp_path):
     path = tmp_path / "report.json"
-    path.write_text(json.dumps(REPORT))
+    path.write_text(json.dumps(WHOLE | REPORT))
     shown = run("explain", path)
     assert shown.returncode == 0 and "73 %  fleet (6.0 %)" in shown.stdout and "a remark" in shown.stdout
     path.write_text("no json")

@@ -45,18 +45,6 @@ class ReportJudgement(Struct):
     detail: Text
 
 
-class Explained(Struct):
-    """The parts of a report that `report.explanation` needs."""
-
-    scale: Positive
-    unit: Name
-    uncertainty: Annotated[dict[str, Annotated[float, Meta(ge=0, le=1e3)]], Meta(min_length=1)]
-    vehicles_used: Count
-    fleet: Name
-    verdict: Name
-    remarks: list[ReportRemark]
-
-
 class ReportInput(Struct):
     """The input: its path, its kind, the hash of its content, and the folder from which relative paths, here and in
     `settings`, start."""
@@ -136,11 +124,18 @@ class ReportAnchor(Struct):
     residual_cm: Finite
 
 
-class Report(Explained, kw_only=True):
-    """A report from which a page is drawn; parts of only one kind of source, such as ``drift``, are not checked. The
-    last four are only in reports of inputs that have them."""
+class Report(Struct):
+    """A report; parts of only one kind of source, such as ``drift``, are not checked. The last four are only in reports
+    of inputs that have them."""
 
     format: Literal["orthoscale report 2"]
+    scale: Positive
+    unit: Name
+    uncertainty: Annotated[dict[str, Annotated[float, Meta(ge=0, le=1e3)]], Meta(min_length=1)]
+    vehicles_used: Count
+    fleet: Name
+    verdict: Name
+    remarks: list[ReportRemark]
     interval90: tuple[Positive, Positive]
     fit: Text
     judgements: list[ReportJudgement]
