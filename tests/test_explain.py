@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 from support.in_process import run
+from test_json import REPORT as WHOLE
 
 from orthoscale.core.control import READING_SD, known_distance
-from orthoscale.errors import InputError
 from orthoscale.report.explanation import explain, in_words
 
 REPORT = {
@@ -35,8 +35,7 @@ def test_remedies_leave_what_they_do_not_remove_the_best_first():
 
 
 def test_what_is_known_to_a_centimetre_gets_no_advice_to_know_it_to_less():
-    found = explain({"scale": 0.1, "unit": "m/px", "uncertainty": {"ground control": 3e-5}, "vehicles_used": 90,
-                     "fleet": "DE", "verdict": "good"})  # fmt: skip
+    found = explain({**REPORT, "uncertainty": {"ground control": 3e-5}, "vehicles_used": 90, "fleet": "DE"})
     assert "no known distance would halve it" in found["halve"]
     assert "known to +- 0.003 % (1 sigma)" in in_words(found)
 
@@ -91,16 +90,18 @@ def test_vehicles_of_one_size_leave_the_papers_estimator_nothing_to_explain():
     assert found["relative_sd"] == 0 and not found["parts"] and "all of one size" in in_words(found)
 
 
-@pytest.mark.parametrize("report", [{}, [], {**REPORT, "uncertainty": {}}, {**REPORT, "uncertainty": {"fleet": "x"}},
-                                    {**REPORT, "scale": None}])  # fmt: skip
-def test_what_is_no_report_is_refused(report):
-    with pytest.raises(InputError):
-        explain(report)
+@pytest.mark.parametrize("report", [{}, [], {**WHOLE, "uncertainty": {}}, {**WHOLE, "uncertainty": {"fleet": "x"}},
+                                    {**WHOLE, "scale": None}])  # fmt: skip
+def test_what_is_no_report_is_refused(tmp_path, report):
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    refused = run("explain", tmp_path / "report.json")
+    said = "not a report" if report else "a report of another version (no format"
+    assert refused.returncode == 5 and f"report.json: {said}" in refused.stderr
 
 
 def test_the_command(tmp_path):
     path = tmp_path / "report.json"
-    path.write_text(json.dumps(REPORT))
+    path.write_text(json.dumps(WHOLE | REPORT))
     shown = run("explain", path)
     assert shown.returncode == 0 and "73 %  fleet (6.0 %)" in shown.stdout and "a remark" in shown.stdout
     path.write_text("no json")

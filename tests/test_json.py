@@ -51,7 +51,9 @@ REPORT = {
     "uncertainty": {"sampling": 0.01}, "vehicles_used": 9, "fleet": "DE", "vehicles_rejected": {}, "boxes_rejected": {},
     "fleet_sizes": {"length": SIZE, "width": SIZE, "classes": []}, "checks": {}, "settings": {},
     "remarks": [{"severity": "info", "text": "a remark"}],
-    "input": {"path": "a.tif", "sha256": ""}, "pictures": {"a.tif": [320, 240]}, "vehicles": [],
+    "input": {"path": "a.tif", "sha256": "", "folder": "", "kind": "orthophoto"}, "pictures": {"a.tif": [320, 240]},
+    "vehicles": [], "evidence": [], "anchors": [], "fleets": {}, "claim": None, "drift": None, "seconds": 1.0,
+    "frame_bytes": {}, "frame_crc32": {}, "other_files": {}, "pixel_aspect": 1.0,
 }  # fmt: skip
 POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]]
 TRANSFORMS = {"w": 100, "h": 80, "fl_x": 90, "frames": [{"file_path": "a.jpg", "transform_matrix": POSE}]}

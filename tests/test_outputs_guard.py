@@ -402,16 +402,6 @@ def test_a_geopackage_in_a_folder_may_be_looked_at(tmp_path):
     assert not ours(tmp_path / "plan")
 
 
-def test_a_folder_of_an_older_version_has_no_states_to_compare(tmp_path):
-    write_folder(tmp_path / "a", ("x", "report.html"))
-    mark = json.loads((tmp_path / "a" / FOLDER_MARK).read_text())
-    (tmp_path / "a" / FOLDER_MARK).write_text(json.dumps({**mark, "files": sorted(mark["files"])}))
-    (tmp_path / "a/x").write_text("another")
-    assert ours(tmp_path / "a") and ours_in_a_folder(tmp_path / "a/report.html")
-    (tmp_path / "a/precious").touch()
-    assert not ours(tmp_path / "a")
-
-
 @pytest.mark.parametrize("how", ["a pipe", "deep", "a list"])
 def test_a_mark_that_somebody_else_made_is_none(tmp_path, how):
     """Marks are looked for in all folders above an input: that of /tmp is anybody's."""

@@ -49,13 +49,17 @@ def pages(tmp_path_factory):
     report = json.loads(fixed_model(folders["doubtful"]).with_suffix(".json").read_text())
     worst = {
         "verdict": "unusable",
-        "modes": {"planar": {"scale": 13.0, "interval90": [12, 14]}, "oblique": {"scale": 16, "interval90": [15, 17]}},
+        "modes": {
+            "planar": {"scale": 13.0, "interval90": [12, 14], "vehicles_used": 9},
+            "oblique": {"scale": 16, "interval90": [15, 17], "vehicles_used": 20},
+        },
         "drift": {
             "regions": [
                 {"centre_unit": [x, y], "scale": s, "sd": 0.5, "vehicles": 9}
                 for x, y, s in ((-4, -4, 12.0), (6, 3, 19.0), (0, 5, 15.0))
             ],
             "trend": {"percent_across": 40.0, "chance": 1e-6},
+            "drifts": True,
             "frames": {f"DJI_{k:04d}.jpg": {"scale": 14 + k % 3, "sd": 0.6, "vehicles": 5} for k in range(170)},
             "odd_frames": ["DJI_0002.jpg"],
         },
@@ -63,7 +67,7 @@ def pages(tmp_path_factory):
             *report["judgements"],
             {"severity": "refusal", "what": "Remark", "detail": "widths are larger: " + "a_very_long_word_" * 12},
         ],
-        "input": {"path": "no/such/" + "deep_folder/" * 20, "sha256": ""},
+        "input": {**report["input"], "path": "no/such/" + "deep_folder/" * 20},
     }
     (folders["doubtful"] / "report.json").write_text(json.dumps({**report, **worst}))
     made["doubtful"] = folders["doubtful"] / "report.html"

@@ -56,13 +56,9 @@ class Checked(Brief):
         scale = self.result.scale
         return {
             "comparisons": [comparison.document() for comparison in self.comparisons],
-            "scale": scale.value,
-            "unit": scale.unit,
-            "interval90": list(scale.interval90),
-            "verdict": scale.verdict,
-            "vehicles_used": scale.vehicles_used,
+            **scale.document(),
             "fleet": scale.fleet,
-            "remarks": [{"severity": remark.severity, "text": remark.text} for remark in self.result.remarks],
+            "remarks": [remark.document() for remark in self.result.remarks],
         }
 
 

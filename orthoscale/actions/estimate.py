@@ -182,12 +182,12 @@ def _answer(
             on_boxes(found, asked.source)
         return _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
+        if method.vehicles_only:
+            raise
         try:
-            answer = None if method.vehicles_only else _without_vehicles(asked, found, method, request, wanted)
+            answer = _without_vehicles(asked, found, method, request, wanted)
         except TooLittleEvidence as also:
             raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
-        if answer is None and method.vehicles_only:
-            raise
         if answer is None:
             raise TooLittleEvidence(error.message, f"{error.hint} {OR_EVIDENCE}") from error
         return answer

@@ -13,7 +13,7 @@ from ..errors import InputError, UsageError
 from ..option import flag, options_in
 from ..report.extras import chosen
 from ..report.inputs import replaced_inputs
-from ..report.stored import completed, read_json
+from ..report.stored import read_json
 from ..requests import EstimateRequest, FixRequest
 from ..system.outputs import ELSEWHERE, REPLACE
 from ..system.signatures import ours, was_changed
@@ -27,7 +27,7 @@ PERMITTING = ("force", "override")  # options that may permit a copy, but do not
 def report_of(out: Path) -> dict[str, Any] | None:
     """The report of the copy at `out`; None if there is none that can be read."""
     try:
-        return completed(read_json(_place(out)))
+        return read_json(_place(out))
     except InputError:
         return None
 

@@ -11,10 +11,10 @@ from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import Source
 from ..errors import TooLittleEvidence, UsageError
+from ..formats.names import write_json
 from ..option import positive
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
-from ..report.stored import write_json
 from ..requests import EstimateRequest
 from ..sources.country import country_of, named_fleet
 from .anchors import MOST_SOUGHT, Wanted, anchors_at, look_for_anchors, own_standards

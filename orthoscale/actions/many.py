@@ -167,17 +167,8 @@ def _fill_by_result(row: Row, result: Result) -> None:
     """As `_fill`, from the few parts of a report that a row shows; a whole one would need the hash of the input."""
     scale = result.scale
     claim = own_claim(result.source, scale)
-    report = {
-        "scale": scale.value,
-        "unit": scale.unit,
-        "interval90": scale.interval90,
-        "verdict": scale.verdict,
-        "vehicles_used": scale.vehicles_used,
-        "fleet": scale.fleet,
-        "claim": claim and claim.document(),
-        "seconds": round(result.seconds, 2),
-    }
-    _fill(row, report, result.source)
+    rest = {"fleet": scale.fleet, "claim": claim and claim.document(), "seconds": round(result.seconds, 2)}
+    _fill(row, scale.document() | rest, result.source)
 
 
 def check_folder(out: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import EvidenceDisagrees, Incomplete, InputError, MetricAlready, OrthoscaleError, TooLittleEvidence
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..report.result import Result
 from ..requests import EstimateRequest, FixRequest
 from ..sources.exchange_files import find_exchange
@@ -37,17 +37,8 @@ class ModelOutcome:
         if self.result is None:
             assert self.error is not None, "it is one of the two"
             return {"model": str(self.model), "error": str(self.error), "exit_code": self.error.exit_code}
-        scale = self.result.scale
         missing = {"missing": self.error.message} if self.error else {}
-        return {
-            "model": str(self.model),
-            "scale": scale.value,
-            "unit": scale.unit,
-            "interval90": list(scale.interval90),
-            "verdict": scale.verdict,
-            "vehicles_used": scale.vehicles_used,
-            **missing,
-        }
+        return {"model": str(self.model), **self.result.scale.document(), **missing}
 
 
 def models_in(path: Path) -> list[Path]:
@@ -93,7 +84,7 @@ def fix_all(
             [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
         )
         text = {outcome.model.name: outcome.document() for outcome in outcomes}
-        (folder / "models.json").write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
+        write_json(text, folder / "models.json")
     missing = [outcome.error for outcome in outcomes if isinstance(outcome.error, Incomplete)]
     if missing:
         raise Incomplete("; ".join(error.message for error in missing), missing[0].hint, outcomes)

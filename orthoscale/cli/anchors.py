@@ -7,9 +7,7 @@ from typing import Any
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -22,6 +20,7 @@ from .options import (
     progress_bars,
     refuse_idle_overwrite,
     say,
+    say_json,
 )
 
 
@@ -69,7 +68,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
             (found.write_one if single else found.write)(place)
     told = found.document()
     if as_json:
-        echo(json_in_utf8(told))
+        say_json(told)
         return
     by = "as told"
     if found.scale is not None:

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..formats.names import json_in_utf8
-from ..system.printing import echo
-from .options import CONVERTING, PATH, command, debug_option, json_option, option, overwrite_option, say
+from .options import CONVERTING, PATH, command, debug_option, json_option, option, overwrite_option, say, say_json
 
 
 @command(
@@ -37,7 +35,7 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     written = applying.apply(sim3, files, out, overwrite=overwrite)
     if as_json:
         texts = {str(path): notes for path, notes in written.items()}
-        echo(json_in_utf8({"scale": Sim3.load(sim3).scale, "written": texts}))
+        say_json({"scale": Sim3.load(sim3).scale, "written": texts})
         return
     for path, notes in written.items():
         say(f"written    {path}" + "".join(f"\n           {note}" for note in notes))

@@ -7,9 +7,7 @@ from typing import Any
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -22,6 +20,7 @@ from .options import (
     progress_bars,
     refuse_idle_overwrite,
     say,
+    say_json,
 )
 
 # Options that contradict a known scale, or the detection at three resampling factors; `fleet` has its own option.
@@ -73,7 +72,7 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
         if partial is not None:
             save_calibration(calibration, partial)
     if as_json:
-        echo(json_in_utf8(calibration_values(calibration)))
+        say_json(calibration_values(calibration))
         return
     ruler, made = calibration.ruler, calibration.made_from
     lines = [f"detector   {calibration.detector}"]

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import EvidenceDisagrees, UsageError
-from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
-from ..system.printing import echo
 from .dry_run import rehearse, tell_rehearsals
 from .many import Many, inputs, run
 from .options import (
@@ -25,6 +23,7 @@ from .options import (
     refuse_idle_overwrite,
     save_option,
     say,
+    say_json,
 )
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def check(
         boxes.take(outcome.result.detections, source)
         boxes.save()
     if as_json:
-        echo(json_in_utf8(outcome.to_dict()))
+        say_json(outcome.to_dict())
     else:
         _show(outcome)
         if save_detections is not None:
@@ -164,7 +163,7 @@ def _against_model(
         ortho, frames = measured(plan, of_ortho, progress), measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)
     if as_json:
-        echo(json_in_utf8(checked.document()))
+        say_json(checked.document())
     else:
         low, high = checked.interval90_by_model
         say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -21,6 +19,7 @@ from .options import (
     overwrite_option,
     progress_bars,
     say,
+    say_json,
 )
 from .photo_options import LENS_FLAGS, lens_options
 
@@ -98,7 +97,7 @@ def crop(
         cropping.write_crops(crops, shown.picture, shown.told, folder, progress)
     text = cropping.document(crops, shown.told)
     if as_json:
-        echo(json_in_utf8(text))
+        say_json(text)
         return
     low, high = shown.told.get("gsd_interval90", (None, None))
     gsd_cm = 100 * shown.gsd

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from ..errors import OrthoscaleError
-from ..formats.names import json_in_utf8
-from ..system.printing import echo
-from .options import say
+from .options import say, say_json
 
 if TYPE_CHECKING:
     from ..requests import EstimateRequest
@@ -69,7 +67,7 @@ def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = F
     for one, rows in zip(inputs, told, strict=True):
         for label, text in rows:
             one.setdefault(label, []).append(text)
-    echo(json_in_utf8({"format": REHEARSAL_FORMAT, "inputs": inputs}))
+    say_json({"format": REHEARSAL_FORMAT, "inputs": inputs})
 
 
 def rehearse_in_new_folder(

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import UsageError
-from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -25,6 +23,7 @@ from .options import (
     refuse_idle_overwrite,
     save_option,
     say,
+    say_json,
 )
 
 if TYPE_CHECKING:
@@ -148,7 +147,7 @@ def evaluate(
             shown = "\n".join([locating.table(text), *(f"written    {output}" for output in written)])
         for partial in partials:
             report.write(text, partial)
-    echo(json_in_utf8(text)) if as_json else say(shown)
+    say_json(text) if as_json else say(shown)
 
 
 def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..formats.names import json_in_utf8
-from ..system.printing import echo
-from .options import CONVERTING, PATH, command, debug_option, json_option
+from .options import CONVERTING, PATH, command, debug_option, json_option, say, say_json
 
 
 @command(
@@ -23,17 +21,8 @@ def explain(report: Path, as_json: bool) -> None:
 
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
     """
-    from ..errors import InputError
-    from ..formats.reading import LARGE, checked, read_plain
-    from ..formats.schemas.report import Explained
     from ..report import explanation
-    from ..report.stored import upgraded
+    from ..report.stored import read_json
 
-    hint = "Give the report.json of a run."
-    text = upgraded(read_plain(report, "a report", hint, LARGE))
-    checked(text, Explained, str(report), "a report of orthoscale", hint)
-    try:
-        found = explanation.explain(text)
-    except InputError as error:
-        raise InputError(f"{report}: {error.message}", error.hint) from error
-    echo(json_in_utf8(found) if as_json else explanation.in_words(found))
+    found = explanation.explain(read_json(report))
+    say_json(found) if as_json else say(explanation.in_words(found))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..system.printing import echo
 from .options import (
     PATH,
@@ -19,6 +18,7 @@ from .options import (
     overwrite_option,
     refuse_idle_overwrite,
     say,
+    say_json,
 )
 
 PLACING = """\b
@@ -126,7 +126,7 @@ def layout(
         outputs.protect(*made.ground.source.files)
         if folder is not None:
             export.write(made, folder)
-    echo(json_in_utf8(planning.document(made))) if as_json else say(summary(made, out))
+    say_json(planning.document(made)) if as_json else say(summary(made, out))
     if made.missing:  # after the layout is written and printed; the exit code keeps scripts from taking it for complete
         count, names = len(made.missing), ", ".join(dict.fromkeys(m.facility.code for m in made.missing))
         raise TooLittleRoom(

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -21,6 +19,7 @@ from .options import (
     overwrite_option,
     progress_bars,
     say,
+    say_json,
 )
 from .photo_options import lens_options
 
@@ -115,7 +114,7 @@ def locate(
         found = located(paths, sky, request, progress)
         found.write(folder)
     if as_json:
-        echo(json_in_utf8(found.to_dict()))
+        say_json(found.to_dict())
     else:
         from ..locate.terminal import summary
 

@@ -13,11 +13,10 @@ import click
 
 from ..errors import LONGEST_MESSAGE, UsageError
 from ..errors import shown as printable
-from ..formats.names import in_utf8, json_in_utf8
+from ..formats.names import in_utf8
 from ..system.paths import absolute
-from ..system.printing import echo
 from .dry_run import rehearse, rehearse_in_new_folder
-from .options import PATH, option, progress_bars, say
+from .options import PATH, option, progress_bars, say, say_json
 
 if TYPE_CHECKING:
     from ..actions.inputs import Named
@@ -113,7 +112,7 @@ def run(
         for place, summary in zip(partials, many.summaries, strict=True):
             write_summary(rows, place, summary)
     if as_json:
-        echo(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}))
+        say_json({"format": SUMMARY_FORMAT, "inputs": rows})
     _tell(rows, set() if overwrite else {str(absolute(place)) for place in there})
     sys.exit(worst(rows))
 

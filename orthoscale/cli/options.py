@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from ..errors import UsageError, shown
+from ..formats.names import json_in_utf8
 from ..option import GROUPS, Option, flag, options_in
 from ..system.printing import echo
 
@@ -91,6 +92,11 @@ def say(text: str, err: bool = False) -> None:
         return
     with suppress(OSError):
         click.echo(lines, err=True)
+
+
+def say_json(values: Any) -> None:
+    """Print plain `values` as JSON. Raises what `printing` raises."""
+    echo(json_in_utf8(values))
 
 
 overwrite_option = option(

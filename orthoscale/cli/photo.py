@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
-from ..system.printing import echo
 from .options import (
     MEASURING,
     PATH,
@@ -23,6 +21,7 @@ from .options import (
     refuse_idle_overwrite,
     save_option,
     say,
+    say_json,
 )
 from .photo_options import lens_options
 
@@ -87,7 +86,7 @@ def photo(
         for partial in partials:
             tables.write(outcomes, text, partial)
     if as_json:
-        echo(json_in_utf8(text))
+        say_json(text)
     else:
         from ..photos.terminal import summary
 

@@ -9,9 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from ..errors import Incomplete, UsageError
-from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest, FixRequest
-from ..system.printing import echo
 from .dry_run import rehearse, rehearse_in_new_folder
 from .many import Many, inputs, run
 from .options import (
@@ -29,6 +27,7 @@ from .options import (
     refuse_idle_overwrite,
     save_option,
     say,
+    say_json,
 )
 
 if TYPE_CHECKING:
@@ -191,7 +190,7 @@ def _saved(boxes: Path | None) -> dict[str, Path]:
 
 def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
-        echo(json_in_utf8({outcome.model.name: outcome.document() for outcome in outcomes}))
+        say_json({outcome.model.name: outcome.document() for outcome in outcomes})
         return
     from ..report.terminal import show
 
@@ -205,7 +204,7 @@ def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = 
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
-        echo(json_in_utf8(result.to_dict()))
+        say_json(result.to_dict())
     else:
         from ..report.terminal import show
 

@@ -47,6 +47,10 @@ class Remark:
         if self.severity not in SEVERITIES:
             raise ValueError(f"severity: expected one of {', '.join(SEVERITIES)}")
 
+    def document(self) -> dict[str, str]:
+        """What files of results show of it, as JSON values."""
+        return {"severity": self.severity, "text": self.text}
+
     def __str__(self) -> str:
         """The sentence."""
         return self.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +77,16 @@ class Scale(Brief):
         """The lines that printing it shows: label and text."""
         rejected = sum(self.rejected.values())
         return [*self.answer(), ("vehicles", f"{self.vehicles_used} used, {rejected} rejected")]
+
+    def document(self) -> dict[str, Any]:
+        """What lists of results show of it, as JSON values."""
+        return {
+            "scale": self.value,
+            "unit": self.unit,
+            "interval90": list(self.interval90),
+            "verdict": self.verdict,
+            "vehicles_used": self.vehicles_used,
+        }
 
     @property
     def relative_sd(self) -> float:

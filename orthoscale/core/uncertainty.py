@@ -67,11 +67,8 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str, pixel: f
     """Explains the `parts` of a scale's uncertainty (relative one-sigmas), given its vehicles and its fleet's code.
 
     pixel : size of a pixel in which distances are read [m]; 0 if they are given in coordinates.
-    Raises ValueError if `parts` are empty or not finite.
     """
     variance = float(sum(sd**2 for sd in parts.values()))
-    if not (parts and np.isfinite(variance)):
-        raise ValueError("there is no uncertainty to explain")
     if not variance:  # by the paper's estimator, which knows nothing but the scatter of the vehicles
         return Explanation(0.0, (), (), "The vehicles are all of one size, and nothing else is taken as uncertain.")
     share = {name: sd**2 / variance for name, sd in parts.items()}

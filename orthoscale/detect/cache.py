@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from types import CodeType
 from typing import Any, Self
 
 import numpy as np
@@ -76,8 +75,8 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
 
 
 def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any], code: tuple[str, ...] = CODE) -> str | None:
-    """SHA-256 over the pictures' content, `settings` as JSON, and what the files of the package do that match the
-    patterns `code`; None if a picture has no fingerprint of its content."""
+    """SHA-256 over the pictures' content, `settings` as JSON, and the files of the package that match the patterns
+    `code`; None if a picture has no fingerprint of its content."""
     prints = [getattr(picture, "fingerprint", None) for picture in pictures]
     if None in prints:
         return None
@@ -87,33 +86,12 @@ def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any], code: 
 
 @lru_cache
 def code_hash(code: tuple[str, ...], package: Path = PACKAGE) -> str:
-    """SHA-256 in hex over what the files of `package` that match the patterns `code` do: it stays the same if only
-    comments, docstrings or assertions change. Another version of Python may give another hash."""
+    """SHA-256 in hex over the files of `package` that match the patterns `code`."""
     digest = hashlib.sha256()
     for pattern in code:
         for path in sorted(package.glob(pattern)):
-            digest.update(_compiled_hash(path))
+            digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-@lru_cache
-def _compiled_hash(path: Path) -> bytes:
-    # Compiled, since that takes less than half as long as `ast.parse` and `ast.dump`: 1 ms per 100 lines.
-    code = compile(path.read_bytes(), path.name, "exec", dont_inherit=True, optimize=2)
-    return hashlib.sha256(repr(_without_lines(code)).encode()).digest()
-
-
-def _without_lines(code: CodeType) -> list[object]:
-    """All that decides what `code` does, which does not include its line numbers. Sets have no order of their own."""
-    constants = [
-        _without_lines(each) if isinstance(each, CodeType)
-        else sorted(map(repr, each)) if isinstance(each, frozenset)
-        else each
-        for each in code.co_consts
-    ]  # fmt: skip
-    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-    arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-    return [code.co_code, code.co_exceptiontable, names, arguments, constants]
 
 
 class Kept:

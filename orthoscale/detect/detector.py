@@ -19,7 +19,7 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..core.ruler import Ruler
 from ..core.source import NO_DATA_GREY
 from ..errors import InputError
-from ..formats.reading import checked, parsed, read_bytes
+from ..formats.reading import decoded, read_bytes
 from ..system.budget import memory, require
 from . import foreign_worker
 from .foreign import IMAGE_ALONE, NO_NETWORK, ForeignError, Said, Worker
@@ -89,18 +89,19 @@ class Card:
     @classmethod
     def from_json(cls, text: str, origin: str = "the card") -> Card:
         """Parse the text in a file's metadata; messages call it `origin`. Raises InputError if it is not a card."""
-        from msgspec import UNSET
+        from msgspec import UNSET, structs
 
         from ..formats.schemas.networks import CardEntry
 
         if len(text) > LONGEST_CARD:
             raise InputError(f"{origin}: longer than the {LONGEST_CARD} characters that it may have", CARD_HINT)
-        entry = checked(parsed(text, origin, CARD, CARD_HINT), CardEntry, origin, CARD, CARD_HINT)
-        values = {name: getattr(entry, name) for name in entry.__struct_fields__ if name != "extra"}
-        values["ruler"] = entry.ruler.ruler
-        how = values.pop("normalisation")
-        if how is not UNSET:
-            values["normalisation"] = Normalisation(how.mean, how.std, how.channels)
+        entry = decoded(text, CardEntry, origin, CARD, CARD_HINT)
+        how = entry.normalisation
+        values = structs.asdict(entry) | {
+            "ruler": entry.ruler.ruler,
+            "normalisation": Normalisation() if how is UNSET else Normalisation(**structs.asdict(how)),
+        }
+        del values["extra"]
         return cls(**values)
 
     @classmethod

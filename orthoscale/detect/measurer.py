@@ -21,7 +21,7 @@ from ..core.boxes import KINDS, Boxes
 from ..core.ruler import Ruler
 from ..core.source import NO_DATA_GREY, Picture
 from ..errors import InputError
-from ..formats.reading import checked, parsed
+from ..formats.reading import decoded
 from .detector import load_network
 from .enlarged import AS_IT_IS
 from .foreign import ForeignError
@@ -77,17 +77,12 @@ class MeasurerCard:
     @classmethod
     def from_json(cls, text: str, origin: str) -> MeasurerCard:
         """Parse the text in a file's metadata; messages call it `origin`. Raises InputError if it is not a card."""
+        from msgspec import structs
+
         from ..formats.schemas.networks import MeasurerCardEntry
 
-        entry = checked(
-            parsed(text, origin, MEASURER_CARD, MEASURER_HINT),
-            MeasurerCardEntry,
-            origin,
-            MEASURER_CARD,
-            MEASURER_HINT,
-        )
-        values = {name: getattr(entry, name) for name in entry.__struct_fields__}
-        return cls(**{**values, "ruler": entry.ruler.ruler})
+        entry = decoded(text, MeasurerCardEntry, origin, MEASURER_CARD, MEASURER_HINT)
+        return cls(**structs.asdict(entry) | {"ruler": entry.ruler.ruler})
 
     def sure_sigma(self, length: np.ndarray, pixel: float = 1.0) -> np.ndarray:
         """(N, 1) sigma of a sure edge of vehicles of `length` (N,) [px], seen in pixels of the size `pixel` [px]."""

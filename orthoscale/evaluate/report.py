@@ -15,7 +15,7 @@ from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..core.progress import Progress
 from ..errors import InputError, TooLittleEvidence
 from ..formats.csv_table import write_csv
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..photos.depth.maps import Depths
 from ..version import __version__
 from . import score
@@ -88,7 +88,7 @@ def document(
 def write(text: dict[str, Any], path: Path) -> None:
     """Write the document (.json), or the rows of its photos (.csv)."""
     if path.suffix.lower() == ".json":
-        path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
+        write_json(text, path)
     else:
         write_csv(path, list(text["rows"][0]), text["rows"])
 

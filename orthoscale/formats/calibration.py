@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.calibration import Calibration
 from ..system.paths import path_of
-from .names import json_in_utf8
+from .names import write_json
 from .reading import checked, read_plain
 
 CALIBRATION_FORMAT = "orthoscale calibration 1"
@@ -18,9 +18,7 @@ A_CALIBRATION = "the path of a calibration"
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write `calibration` as JSON, for `load_calibration` and `--calibration`. Raises UsageError if `path` is no path,
     OSError."""
-    path_of(path, A_CALIBRATION).write_text(
-        json_in_utf8(calibration_values(calibration), indent=1) + "\n", encoding="utf-8"
-    )
+    write_json(calibration_values(calibration), path_of(path, A_CALIBRATION))
 
 
 def calibration_values(calibration: Calibration) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 ESCAPED = re.compile(r"\\u(dc[89a-f][0-9a-f])")  # what `in_utf8` makes of a byte that is not UTF-8 (PEP 383)
@@ -49,6 +50,11 @@ def json_in_utf8(values: Any, indent: int | None = None) -> str:
     except ValueError:
         return json_in_utf8(finite(values), indent)
     return json.dumps(each_text(values, in_utf8), indent=indent) if r"\ud" in text else text
+
+
+def write_json(values: Any, path: Path) -> None:
+    """Write plain `values` as `json_in_utf8`, a line for each. Raises OSError."""
+    path.write_text(json_in_utf8(values, indent=1) + "\n", encoding="utf-8")
 
 
 def finite(values: Any) -> Any:

@@ -226,7 +226,12 @@ def shipped(name: str) -> Any:
 
 def read(path: Path, schema: type[T], what: str, hint: str, most: int = SMALL) -> T:
     """The JSON in `path` as a `schema`, a type that msgspec understands. Raises InputError."""
-    return checked(read_plain(path, what, hint, most), schema, str(path), what, hint)
+    return decoded(read_bytes(path, hint, most), schema, str(path), what, hint)
+
+
+def decoded(content: bytes | str, schema: type[T], origin: str, what: str, hint: str) -> T:
+    """JSON as a `schema`, a type that msgspec understands. Raises InputError."""
+    return checked(parsed(content, origin, what, hint), schema, origin, what, hint)
 
 
 def parsed(content: bytes | str, origin: str, what: str, hint: str) -> Any:

@@ -12,7 +12,7 @@ import shapely
 from rasterio.windows import Window as RasterWindow
 
 from ..formats.degrees import WGS_84, about_meridian, to_degrees
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..formats.pictures import write_png
 from ..formats.vector import write_layer
 from ..sources.gdal import guarded
@@ -27,7 +27,7 @@ def write(layout: Layout, folder: Path) -> None:
     """Write into the empty `folder`: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif,
     lines.png, lot.png, overlay.png, prompt.txt. Raises OSError."""
     values = document(layout)
-    (folder / "layout.json").write_text(json_in_utf8(values, indent=1) + "\n", encoding="utf-8")
+    write_json(values, folder / "layout.json")
     (folder / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
     write_vectors(layout, folder, values["facilities"])
     write_dxf(layout, folder / "layout.dxf")

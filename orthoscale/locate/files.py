@@ -11,7 +11,7 @@ import numpy as np
 
 from ..formats.csv_table import write_csv
 from ..formats.lettering import write_on
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
 from ..sources.satellite import Satellite
@@ -35,7 +35,7 @@ def write(
 ) -> None:
     """Write into the empty `folder`: located.json, candidates.csv (the best `top` of each photo), located.gpkg, and
     matches.jpg, or matches/NAME.jpg for several photos. Raises OSError, InputError."""
-    (folder / "located.json").write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
+    write_json(text, folder / "located.json")
     searched = [outcome for outcome in outcomes if outcome.registration is not None]
     rows = [row for outcome in searched for row in candidate_rows(outcome, satellite)[:top]]
     write_csv(folder / "candidates.csv", CANDIDATE_COLUMNS, rows)

@@ -20,7 +20,7 @@ from ..detect.detector import load_network
 from ..detect.foreign import ForeignError
 from ..detect.output_forms import IMAGENET, Normalisation
 from ..errors import InputError
-from ..formats.reading import checked, parsed
+from ..formats.reading import decoded
 from .correlate import Peak
 from .ground import GroundImage
 from .maps import MapFeatures, MapGrid
@@ -84,20 +84,14 @@ class Embedding:
                 f"{self.path.name} has no card: its input is taken as {size} x {size} px, normalised as for ImageNet"
             )
             return EmbeddingCard(self.path.stem, size, IMAGENET)
-        from msgspec import UNSET
+        from msgspec import UNSET, structs
 
         from ..formats.schemas.networks import EmbeddingCardEntry
 
         origin = f"{self.path}: its card"
-        entry = checked(
-            parsed(text, origin, EMBEDDING_CARD, EMBEDDING_HINT),
-            EmbeddingCardEntry,
-            origin,
-            EMBEDDING_CARD,
-            EMBEDDING_HINT,
-        )
+        entry = decoded(text, EmbeddingCardEntry, origin, EMBEDDING_CARD, EMBEDDING_HINT)
         how = entry.normalisation
-        normalisation = IMAGENET if how is UNSET else Normalisation(how.mean, how.std, how.channels)
+        normalisation = IMAGENET if how is UNSET else Normalisation(**structs.asdict(how))
         size = fixed or (EMBEDDING_SIZE if entry.size is None else entry.size)
         return EmbeddingCard(entry.name or self.path.stem, size, normalisation)
 

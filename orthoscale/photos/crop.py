@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.source import Picture
 from ..errors import UsageError
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..formats.pictures import write_jpeg
 from ..sources.satellite import Satellite
 
@@ -155,7 +155,7 @@ def write_crops(
             table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", *stored, *metres])
             if progress:
                 progress("Cutting crops", k + 1, len(crops.windows))
-    (folder / "crop.json").write_text(json_in_utf8(document(crops, told), indent=1) + "\n", encoding="utf-8")
+    write_json(document(crops, told), folder / "crop.json")
 
 
 def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
 from ..formats.degrees import WGS_84, about_meridian
-from ..formats.names import json_in_utf8
+from ..formats.names import write_json
 from ..formats.vector import write_layer
 from .depth.ground import DepthAltitude
 from .measure import Interval90, PhotoScale
@@ -112,7 +112,7 @@ def document(
         text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
             "uncertainty": together.scale.parts,
-            "remarks": [{"severity": r.severity, "text": r.text} for r in together.scale.remarks],
+            "remarks": [remark.document() for remark in together.scale.remarks],
         }
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 
@@ -127,7 +127,7 @@ def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path)
     """Write `text`, the `document` of `outcomes`, to `path`, in the format of its ending; in a table the scale of all
     together is the last row."""
     if path.suffix.lower() == ".json":
-        path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
+        write_json(text, path)
         return
     pooled = text.get("together")
     rows = [*text["rows"], *([] if pooled is None else [_row_of_all(pooled)])]

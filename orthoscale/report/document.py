@@ -67,7 +67,7 @@ def document(of: MeasuredSource) -> dict[str, Any]:
         "uncertainty": dict(scale.parts),
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
-        "remarks": [{"severity": remark.severity, "text": remark.text} for remark in remarks],
+        "remarks": [remark.document() for remark in remarks],
         **_of_detection(of.detections),
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),

@@ -34,7 +34,7 @@ def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarr
     corners, square = (corners * shrink).astype(int), int(square * shrink)
     letters = max(SMALLEST_LETTERS, round(16 * shrink))
     panel = np.full((corners[:, 1].max() + square + TITLE, side, 3), 255, np.uint8)
-    _entitle(panel, drift)
+    _entitle(panel)
     for region, corner in zip(regions, corners + (0, TITLE), strict=True):
         deviation, sd = log(region["scale"] / scale), region["sd"] / region["scale"]
         cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), _colour(deviation, sd), -1)
@@ -67,7 +67,7 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     zoom = side / max(width, height)
     panel = np.full((round(height * zoom) + TITLE, round(width * zoom), 3), 255, np.uint8)
     change = f"{100 * drift['tilt']:.1f} % from side to side, +- {100 * Z90 * drift['tilt_sd']:.1f} (90 %)"
-    _entitle(panel, drift, f"; {change}")
+    _entitle(panel, f"; {change}")
     half = np.array(drift["cell_px"]) / 2
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))
@@ -83,11 +83,9 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     return panel
 
 
-def _entitle(panel: np.ndarray, drift: Mapping[str, Any], more: str = "") -> None:
+def _entitle(panel: np.ndarray, more: str = "") -> None:
     """Write the map's title and key onto the TITLE rows of `panel`."""
-    drifts = drift.get("drifts")
-    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
-    write_on(panel, (10, 22), f"Scale by place: {judged}{more}", 17)
+    write_on(panel, (10, 22), f"Scale by place: the scale drifts{more}", 17)
     key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
     write_on(panel, (10, 45), key, 14)
 

@@ -9,29 +9,14 @@ from typing import Any
 from ..core import uncertainty
 from ..core.remarks import percent
 from ..core.scale import PER_PIXEL
-from ..errors import InputError
-from ..formats.reading import reason
-
-REPORT_WANTED = "Give the report.json that `fix` wrote."
 
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The explanation that `core.uncertainty` gives of a report (`document`), with its scale, verdict and remarks.
-
-    Raises InputError if the report lacks what it needs.
-    """
-    try:
-        scale, unit = float(report["scale"]), str(report["unit"])
-        parts = {str(name): float(sd) for name, sd in report["uncertainty"].items()}
-        used, fleet = int(report["vehicles_used"]), str(report["fleet"])
-        said = [str(remark["text"]) for remark in report.get("remarks", [])]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"not a report of orthoscale: {reason(error)}", REPORT_WANTED) from error
-    try:
-        found = asdict(uncertainty.explain(parts, used, fleet, scale if unit == PER_PIXEL else 0.0))
-    except ValueError as error:
-        raise InputError(f"the report cannot be used here: {error}", REPORT_WANTED) from error
-    return {"scale": scale, "unit": unit, "verdict": str(report.get("verdict", "")), **found, "remarks": said}
+    """The explanation that `core.uncertainty` gives of a report (`document`), with its scale, verdict and remarks."""
+    scale, unit, used, fleet = (report[name] for name in ("scale", "unit", "vehicles_used", "fleet"))
+    found = asdict(uncertainty.explain(report["uncertainty"], used, fleet, scale if unit == PER_PIXEL else 0.0))
+    said = [remark["text"] for remark in report["remarks"]]
+    return {"scale": scale, "unit": unit, "verdict": report["verdict"], **found, "remarks": said}
 
 
 def in_words(explanation: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
+from ..formats.names import write_json
 from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs
@@ -19,7 +20,7 @@ from .page import page
 from .pictures import draw
 from .result import Result
 from .scene import ReportPictures
-from .stored import of_plan, read_json, write_json
+from .stored import of_plan, read_json
 
 DRAWN_AS = (".html", ".htm", ".png")
 Attempt = Callable[[Path, str], AbstractContextManager[None]]
@@ -84,7 +85,7 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     """The source of a report, and ''; or None, and why it cannot be used."""
     settings = report["settings"]
     # Relative names start from the folder of the first run, or from the report's if it was moved with its input.
-    starts = [Path(report["input"].get("folder", "")), path.parent, Path()]
+    starts = [Path(report["input"]["folder"]), path.parent, Path()]
     found = _there(report["input"]["path"], starts)
     if found is None:
         return None, f"{report['input']['path']} is not there"

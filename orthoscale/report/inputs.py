@@ -34,7 +34,7 @@ def other_files(source: Source, given: Sequence[Path]) -> dict[str, list[int]]:
 def replaced_inputs(report: Mapping[str, Any], source: Source, given: Sequence[Path] = ()) -> str:
     """Says which frames of `source`, or else which other files, see `other_files`, are not those that its `report` was
     made of; '' if all are. Raises InputError."""
-    sizes, crcs = report.get("frame_bytes") or {}, report.get("frame_crc32") or {}  # not in reports of older versions
+    sizes, crcs = report["frame_bytes"], report["frame_crc32"]
     frames = [
         name
         for name, (size, crc) in frames_of(source).items()
@@ -42,6 +42,6 @@ def replaced_inputs(report: Mapping[str, Any], source: Source, given: Sequence[P
     ]
     if frames:
         return f"frames have changed since: {first_few(frames)}"
-    known = report.get("other_files") or {}  # not in reports of older versions
+    known = report["other_files"]
     files = [name for name, now in other_files(source, given).items() if known.get(name, now) != now]
     return f"files have changed since: {first_few(files)}" if files else ""

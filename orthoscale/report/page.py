@@ -19,7 +19,6 @@ from . import charts, places, wording
 from .anchors import size_of
 from .explanation import explain
 from .scene import Panel, ReportPictures
-from .stored import completed
 from .wording import relative
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ FARTHEST_CHECK = 0.5  # relative; checks further off are shown in the JSON only:
 
 def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
     """The HTML of a report. scene : its pictures, if there are any."""
-    report = completed(report)
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
     return template("page.html").render(
         report=report,
@@ -132,7 +130,9 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
     for name, value in report["checks"].items():
         if not name.endswith("_sigmas") and name not in MODE_ORDER:
             rows.append(charts.ChartRow(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
-    rows += [_row(name, mode, report) for name, mode in _modes(report).items()]
+    for name, mode in _modes(report).items():
+        low_of_mode, high_of_mode = (relative(v, report) for v in mode["interval90"])
+        rows.append(charts.ChartRow(name, relative(mode["scale"], report), (low_of_mode, high_of_mode)))
     for other in report["evidence"]:
         half = Z90 * other["relative_sd"]
         rows.append(charts.ChartRow(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
@@ -152,21 +152,19 @@ def _anchor(anchor: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, A
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
-    return {name: mode for name in MODE_ORDER if (mode := report["modes"].get(name))}
+    return {name: mode for name in MODE_ORDER if (mode := report.get("modes", {}).get(name))}
 
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     """The result of one measuring mode, in words."""
-    values, unit = wording.quantity(report, mode["scale"], *mode.get("interval90", ()))
-    interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
-    vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
-    return f"{values[0]} {unit}{interval}{vehicles}"
+    (value, low, high), unit = wording.quantity(report, mode["scale"], *mode["interval90"])
+    return f"{value} {unit}, {low} to {high} (90 %), {mode['vehicles_used']} vehicles"
 
 
 def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """The self-calibration of the detector's ruler: name, before and after, for lengths and widths."""
-    found = report["calibration"]
-    if not found:
+    found = report.get("calibration")
+    if found is None:
         return []
     table = [
         (name, _pair(found[key]["card"], form, unit), _pair(found[key]["fitted"], form, unit))
@@ -205,8 +203,3 @@ def _places(report: Mapping[str, Any]) -> Markup | None:
 def _frames(report: Mapping[str, Any]) -> Markup | None:
     found = places.frames(report)
     return charts.frames(found, "Scale of each frame relative to the answer") if found else None
-
-
-def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.ChartRow:
-    interval = tuple(relative(v, report) for v in values["interval90"]) if values.get("interval90") else None
-    return charts.ChartRow(name, relative(values["scale"], report), interval)  # type: ignore[arg-type]

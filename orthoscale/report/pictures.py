@@ -24,12 +24,12 @@ SHEET_COLUMNS = 6  # of the contact sheet
 
 def draw(report: Mapping[str, Any], scene: ReportPictures, path: Path) -> None:
     """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, a contact sheet, and the
-    scale by place unless it was found not to drift."""
+    scale by place where it drifts."""
     panels = [_title(report), *(drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:
         panels.append(_contact_sheet(scene.used))
     drift = report.get("drift") or {}
-    if drift.get("drifts") is not False:
+    if drift.get("drifts"):
         if "cells" in drift:
             ((width, height),) = report["pictures"].values()
             panels.append(drift_panel(drift, width, height, SHEET_WIDTH))

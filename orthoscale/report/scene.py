@@ -16,7 +16,7 @@ from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
 from .anchors import size_of
-from .stored import completed, of_plan, pixel_size
+from .stored import of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # used and rejected vehicles that are shown one by one, as chips
@@ -64,7 +64,6 @@ class ReportPictures:
     @classmethod
     def of(cls, report: Mapping[str, Any], source: Source | None) -> ReportPictures:
         """The pictures of a report, with the pixels of its `source`, as far as these are at hand."""
-        report = completed(report)
         vehicles, anchors = report["vehicles"], report["anchors"]
         pictures = _pictures(source, vehicles, anchors) if source else {}
         overviews = []

@@ -19,7 +19,7 @@ from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
 from ..formats.degrees import WGS_84
-from ..formats.names import in_utf8, json_in_utf8
+from ..formats.names import in_utf8, write_json
 from ..formats.vector import write_layer
 from ..system.paths import titles_of
 from ..system.signatures import is_signed
@@ -113,7 +113,7 @@ def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:
-    path.write_text(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
+    write_json({"format": SUMMARY_FORMAT, "inputs": rows}, path)
 
 
 def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:

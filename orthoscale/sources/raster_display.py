@@ -66,14 +66,13 @@ class Display:
         in_order : whether it can be decoded only from the top. Raises InputError for an image that has no colour band
         or none of real numbers, or is damaged.
         """
-        notes: list[Remark] = []
         bands = _colour_bands(path, dataset)
         palette = _palette(dataset)
-        masks = _alpha_masks(dataset, bands, in_order, damage, notes)
-        masks = masks and _nodata_masks(dataset, bands, in_order, damage, notes)
-        stretch = None if palette is not None else _stretch(dataset, bands, damage, notes)
+        unmasked = None if in_order else _no_alpha(dataset, bands, damage) or _no_nodata(dataset, bands, damage)
+        stretch, shown = (None, None) if palette is not None else _stretch(dataset, bands, damage)
         negative = palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
-        return cls(bands, palette, stretch, negative, masks, notes)
+        notes = [Remark(INFO, text) for text in (unmasked, shown) if text]
+        return cls(bands, palette, stretch, negative, unmasked is None, notes)
 
     @property
     def unmixed(self) -> bool:
@@ -129,94 +128,78 @@ def _palette(dataset: DatasetReader) -> np.ndarray | None:
     return table
 
 
-def _samples(dataset: DatasetReader) -> Iterator[Window]:
-    """Windows in an even grid: a decimated read of a file without overviews reads all of it."""
+def _samples(dataset: DatasetReader, damage: Damage, read: Callable[[Window], np.ndarray]) -> Iterator[np.ndarray]:
+    """What `read` gives for windows in an even grid: a decimated read of a file without overviews reads all of it."""
     for y in np.unique(np.linspace(0, max(dataset.height - SAMPLE_SIDE, 0), SAMPLES_ACROSS).astype(int)):
         for x in np.unique(np.linspace(0, max(dataset.width - SAMPLE_SIDE, 0), SAMPLES_ACROSS).astype(int)):
-            yield Window(x, y, min(SAMPLE_SIDE, dataset.width), min(SAMPLE_SIDE, dataset.height))
+            with damage(f"near x {x}, y {y}"):
+                values = read(Window(x, y, min(SAMPLE_SIDE, dataset.width), min(SAMPLE_SIDE, dataset.height)))
+            yield values
 
 
-def _alpha_masks(dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]) -> bool:
-    """Whether an alpha band, if there is one, really says where there is data: nearly all its values are 0 or the
-    largest.
+def _no_alpha(dataset: DatasetReader, bands: list[int], damage: Damage) -> str | None:
+    """Why an alpha band does not say where there is data, as it does if nearly all its values are 0 or the largest;
+    None if it does, or there is none.
 
     GDAL calls the last of four 8 bit bands alpha unless the file says otherwise. Often it is near infrared, and dark
     asphalt and water would be masked; or, by its description, it is one of the `bands` that are shown. Formats that are
     decoded in order have a real alpha.
     """
     alpha = next((k for k, c in enumerate(dataset.colorinterp, 1) if c.name == "alpha"), None)
-    if alpha is None or in_order:
-        return True
+    if alpha is None:
+        return None
     if alpha in bands:
-        notes.append(Remark(INFO, f"band {alpha} is tagged alpha, but described as a colour: used as that"))
-        return False
-    values = []
-    for window in _samples(dataset):
-        with damage(f"near x {window.col_off}, y {window.row_off}"):
-            values.append(dataset.read(alpha, window=window).ravel())
-    sample = np.concatenate(values)
+        return f"band {alpha} is tagged alpha, but described as a colour: used as that"
+    sample = np.concatenate([*_samples(dataset, damage, lambda window: dataset.read(alpha, window=window).ravel())])
     between = float(np.mean((sample != 0) & (sample < sample.max())))
     if between <= MOST_BETWEEN:
-        return True
-    notes.append(
-        Remark(INFO, f"band {alpha} is tagged alpha, but is a picture of its own, such as near infrared: not used")
-    )
-    return False
+        return None
+    return f"band {alpha} is tagged alpha, but is a picture of its own, such as near infrared: not used"
 
 
-def _nodata_masks(
-    dataset: DatasetReader, bands: list[int], in_order: bool, damage: Damage, notes: list[Remark]
-) -> bool:
-    """Whether a nodata value, if there is one, really says where there is data: it is not one of the picture's colours.
+def _no_nodata(dataset: DatasetReader, bands: list[int], damage: Damage) -> str | None:
+    """Why a nodata value does not say where there is data: it is one of the picture's colours. None if it does, or
+    there is none.
 
     Exports with white borders declare 255 as nodata. Blown-out roofs of white cars have that value, too, and would
     become grey holes.
     """
     by_value = all(dataset.mask_flag_enums[band - 1] == [MaskFlags.nodata] for band in bands)
-    if not by_value or in_order or np.result_type(*(dataset.dtypes[band - 1] for band in bands)).kind == "f":
-        return True
+    if not by_value or np.result_type(*(dataset.dtypes[band - 1] for band in bands)).kind == "f":
+        return None
     spots, seen = 0, 0
-    for window in _samples(dataset):
-        with damage(f"near x {window.col_off}, y {window.row_off}"):
-            nothing = dataset.dataset_mask(window=window) == 0
+    for nothing in _samples(dataset, damage, lambda window: dataset.dataset_mask(window=window) == 0):
         left, top, width, height, area = cv2.connectedComponentsWithStats(nothing.astype(np.uint8))[2][1:].T
         inside = (left > 0) & (top > 0) & (left + width < nothing.shape[1]) & (top + height < nothing.shape[0])
         spots += int(area[inside].sum())
         seen += nothing.size - int(area[~inside].sum())
     if spots <= MOST_SPOTS * seen:
-        return True
-    text = f"the nodata value ({dataset.nodata:g}) is a colour of the picture too, as of white roofs: shown as it is"
-    notes.append(Remark(INFO, text))
-    return False
+        return None
+    return f"the nodata value ({dataset.nodata:g}) is a colour of the picture too, as of white roofs: shown as it is"
 
 
-def _stretch(
-    dataset: DatasetReader, bands: list[int], damage: Damage, notes: list[Remark]
-) -> tuple[float, float] | None:
-    """The values to show as 0 and 255: percentiles SHOWN of samples of the `bands`; or, if all are 8 bit values times
-    one of OF_8_BIT, what 0 and 255 became, since such pictures, if stretched, were measured differently from their
-    originals. None for plain 8 bit."""
+def _stretch(dataset: DatasetReader, bands: list[int], damage: Damage) -> tuple[tuple[float, float] | None, str | None]:
+    """The values to show as 0 and 255, and what to say of that: percentiles SHOWN of samples of the `bands`; or, if all
+    are 8 bit values times one of OF_8_BIT, what 0 and 255 became, since such pictures, if stretched, were measured
+    differently from their originals. None for plain 8 bit."""
     dtypes = {dataset.dtypes[b - 1] for b in bands}
     bits = dataset.tags(bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
     if dtypes == {"uint8"} and int(bits) == 8:
-        return None
-    values = []
-    for window in _samples(dataset):
-        with damage(f"near x {window.col_off}, y {window.row_off}"):
-            pixels = dataset.read(bands, window=window)
-            known = dataset.dataset_mask(window=window) > 0
-        sample = pixels[:, known].ravel()
-        values.append(sample[np.isfinite(sample)])
-    sample = _without_fill(np.concatenate(values))
+        return None, None
+
+    def known(window: Window) -> np.ndarray:
+        pixels = dataset.read(bands, window=window)
+        return pixels[:, dataset.dataset_mask(window=window) > 0].ravel()
+
+    sample = np.concatenate([*_samples(dataset, damage, known)])
+    sample = _without_fill(sample[np.isfinite(sample)])
     if dtypes == {"uint16"} and sample.any():
         for factor in OF_8_BIT:
             if not (sample % factor).any():
-                notes.append(Remark(INFO, f"uint16 values are 8-bit values times {factor}: shown as such"))
-                return 0.0, 255.0 * factor
+                return (0.0, 255.0 * factor), f"uint16 values are 8-bit values times {factor}: shown as such"
     low, high = (float(v) for v in np.percentile(sample, SHOWN)) if len(sample) else (0.0, 1.0)
     high = high if high > low else low + 1
-    notes.append(Remark(INFO, f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"))
-    return low, high
+    return (low, high), f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"
 
 
 def _without_fill(sample: np.ndarray) -> np.ndarray:

@@ -100,16 +100,14 @@ def _not_ours(folder: Path) -> Iterator[tuple[str, bool]]:
         yield name, any(within in files for within, files in own)
 
 
-def _listed(folder: Path) -> dict[str, str | None] | None:
-    """The files that the mark of `folder` lists, each with its `_state` when it was written, None in folders of older
-    versions; None if it has no mark for a folder of this name."""
+def _listed(folder: Path) -> dict[str, str] | None:
+    """The files that the mark of `folder` lists, each with its `_state` when it was written; None if it has no mark for
+    a folder of this name."""
     mark = _mark(folder)
-    try:
-        files = mark["files"] if isinstance(mark["files"], dict) else dict.fromkeys(mark["files"])
-        listed = {name: None if state is None else str(state) for name, state in files.items()}
-        return listed if mark["written_by"] == signature(folder.absolute()) else None
-    except (KeyError, TypeError):
+    files = mark.get("files")
+    if not isinstance(files, dict) or mark.get("written_by") != signature(folder.absolute()):
         return None
+    return {name: str(state) for name, state in files.items()}
 
 
 def _mark(folder: Path) -> dict[str, Any]:
@@ -122,13 +120,13 @@ def _mark(folder: Path) -> dict[str, Any]:
     return mark if isinstance(mark, dict) else {}
 
 
-def _is_as_written(path: Path, files: dict[str, str | None], name: str) -> bool:
+def _is_as_written(path: Path, files: dict[str, str], name: str) -> bool:
     """Whether `files`, of `_listed`, has the file at `path` as `name`, and it is unchanged. Its content is compared
     only if its time of change is another, as of a copied folder."""
     if name not in files or path.is_symlink() or not path.is_file():
         return False
-    state = files[name]
-    if state is None or state.startswith(_stamp(now := path.stat())):
+    state, now = files[name], path.stat()
+    if state.startswith(_stamp(now)):
         return True
     return state.startswith(f"{now.st_size} ") and state.split()[-1] == _state(path).split()[-1]
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...errors import InputError
-from ..reading import EXPORT_ANEW, HUGE, checked, parsed, read_plain
+from ..reading import EXPORT_ANEW, HUGE, decoded, read_bytes
 from ..schemas.gltf import GltfGeometry, GltfPlacedNode
 from .beside import beside
 from .gltf import A_SCENE
@@ -31,13 +32,10 @@ def vertices_of_gltf(path: Path) -> Iterator[np.ndarray]:
     if path.suffix.lower() == ".glb":
         with path.open("rb") as file:
             *_, length, _ = GLB_HEAD.unpack(file.read(GLB_HEAD.size))
-            text, start = (
-                parsed(file.read(length), str(path), A_SCENE, EXPORT_ANEW),
-                GLB_HEAD.size + length + CHUNK_HEAD,
-            )
+            text, start = file.read(length), GLB_HEAD.size + length + CHUNK_HEAD
     else:
-        text, start = read_plain(path, A_SCENE, EXPORT_ANEW, HUGE), 0
-    scene = checked(text, GltfGeometry, str(path), A_SCENE, EXPORT_ANEW)
+        text, start = read_bytes(path, EXPORT_ANEW, HUGE), 0
+    scene = decoded(text, GltfGeometry, str(path), A_SCENE, EXPORT_ANEW)
     for mesh, transform in _placed(scene):
         for primitive in scene.meshes[mesh].primitives:
             if (accessor := primitive.attributes.get("POSITION")) is not None and not primitive.extensions:
@@ -70,14 +68,8 @@ def _own(node: GltfPlacedNode) -> np.ndarray:
     """(4, 4) transform of a node, from its own coordinates to those of the node above."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
-    x, y, z, w = node.rotation
-    turn = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
     own = np.eye(4)
-    own[:3, :3] = np.array(turn) * node.scale
+    own[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
     own[:3, 3] = node.translation
     return own
 

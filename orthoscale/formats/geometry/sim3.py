@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import InputError, UsageError
+from ..names import write_json
 from ..reading import SMALL, read, read_text
 
 MATRIX = "sim3_4x4.txt"
@@ -39,7 +39,7 @@ class Sim3:
             "translation": [0.0, 0.0, 0.0],
             "unit": "m",
         }
-        (folder / "sim3.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+        write_json(text, folder / "sim3.json")
         (folder / "sim3.txt").write_text(f"{self.scale:.17g} 1 0 0 0 0 0 0\n", encoding="utf-8")
         rows = np.diag([self.scale] * 3 + [1.0]).tolist()
         matrix = "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from msgspec import UNSET, Meta, Struct, UnsetType
+from msgspec import UNSET, Meta, Struct, UnsetType, structs
 
 from ...core.boxes import KINDS
 from ...core.projection.exact import BODIES
@@ -38,7 +38,7 @@ class RulerEntry(Struct, forbid_unknown_fields=True):
     @property
     def ruler(self) -> Ruler:
         """The ruler as a class of the core."""
-        return Ruler(**{name: getattr(self, name) for name in self.__struct_fields__})
+        return Ruler(**structs.asdict(self))
 
 
 def check_body(name: str) -> None:

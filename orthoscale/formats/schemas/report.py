@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct, UnsetType
 
 from ...core.scale import PER_PIXEL
 from .values import Count, Finite, Metres, Name, Positive, Px, PxLength, Share, Sigma, Text, Weight
@@ -15,6 +15,12 @@ class ReportScale(Struct):
 
     scale: Positive
     interval90: tuple[Positive, Positive]
+
+
+class ReportMode(ReportScale):
+    """The scale by one way of measuring a reconstruction."""
+
+    vehicles_used: Count
 
 
 class ReportOfPictures(ReportScale):
@@ -39,26 +45,14 @@ class ReportJudgement(Struct):
     detail: Text
 
 
-class Explained(Struct):
-    """The parts of a report that `report.explanation` needs."""
-
-    scale: Positive
-    unit: Name
-    uncertainty: dict[str, Annotated[float, Meta(ge=0, le=1e3)]]
-    vehicles_used: Count
-    fleet: Name
-    verdict: Name = ""
-    remarks: list[ReportRemark] = []
-
-
 class ReportInput(Struct):
-    """The input: its path, its kind ('' in reports of older versions, where the unit shows it), the hash of its
-    content, and the folder from which relative paths, here and in `settings`, start."""
+    """The input: its path, its kind, the hash of its content, and the folder from which relative paths, here and in
+    `settings`, start."""
 
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
-    folder: Annotated[str, Meta(max_length=10_000)] = ""
-    kind: Literal["orthophoto", "reconstruction", ""] = ""
+    folder: Annotated[str, Meta(max_length=10_000)]
+    kind: Literal["orthophoto", "reconstruction"]
 
 
 class ReportBox(Struct):
@@ -130,14 +124,21 @@ class ReportAnchor(Struct):
     residual_cm: Finite
 
 
-class Report(Explained, kw_only=True):
-    """A report from which a page is drawn; parts of only one kind of source, such as ``drift``, are not checked."""
+class Report(Struct):
+    """A report; parts of only one kind of source, such as ``drift``, are not checked. The last four are only in reports
+    of inputs that have them."""
 
     format: Literal["orthoscale report 2"]
-    interval90: tuple[Positive, Positive]
+    scale: Positive
+    unit: Name
+    uncertainty: Annotated[dict[str, Annotated[float, Meta(ge=0, le=1e3)]], Meta(min_length=1)]
+    vehicles_used: Count
+    fleet: Name
     verdict: Name
+    remarks: list[ReportRemark]
+    interval90: tuple[Positive, Positive]
     fit: Text
-    judgements: list[ReportJudgement] = []
+    judgements: list[ReportJudgement]
     vehicles_rejected: dict[str, Count]
     boxes_rejected: dict[str, Count]
     fleet_sizes: ReportFleet
@@ -145,17 +146,18 @@ class Report(Explained, kw_only=True):
     input: ReportInput
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]
-    frame_bytes: dict[str, Count] = {}
-    frame_crc32: dict[str, Count] = {}
-    other_files: dict[str, tuple[Count, Count]] = {}
-    pixel_aspect: Positive = 1.0
+    frame_bytes: dict[str, Count]
+    frame_crc32: dict[str, Count]
+    other_files: dict[str, tuple[Count, Count]]
+    pixel_aspect: Positive
+    seconds: Finite
     vehicles: list[ReportVehicle]
-    evidence: list[ReportEvidence] = []
-    anchors: list[ReportAnchor] = []
-    without_anchors: ReportScale | None = None
-    fleets: dict[str, Finite] = {}
-    claim: dict[str, Any] | None = None
-    drift: dict[str, Any] | None = None
-    modes: dict[str, Any] | None = {}
-    calibration: dict[str, Any] | None = None
-    agreement: dict[str, Any] | None = None
+    evidence: list[ReportEvidence]
+    anchors: list[ReportAnchor]
+    fleets: dict[str, Finite]
+    claim: dict[str, Any] | None
+    drift: dict[str, Any] | None
+    without_anchors: ReportScale | UnsetType = UNSET
+    modes: dict[str, ReportMode] | UnsetType = UNSET
+    calibration: dict[str, Any] | UnsetType = UNSET
+    agreement: dict[str, Any] | UnsetType = UNSET
