@@ -234,6 +234,19 @@ def test_images_that_hardly_any_points_hold_are_left_out(tmp_path, but):
     assert pycolmap.Reconstruction(str(tmp_path / "out")).num_reg_images() == 12
 
 
+def test_images_that_are_left_out_are_no_part(tmp_path):
+    """Two such images that share points with each other alone."""
+    model, _ = make_model()
+    unseen(model, ("03.png", "07.png"))
+    pair = [image.image_id for image in model.images.values() if image.name in ("03.png", "07.png")]
+    for k in range(12):
+        elements = [pycolmap.TrackElement(number, k) for number in pair]
+        model.add_point3D(np.array([0.1 * k, 0.2, 0.0]), pycolmap.Track(elements), np.full(3, 99, np.uint8))
+    source = opened(save(model, tmp_path / "m", "bin"))
+    assert len(source.picture_names) == 10 and source.parts == []
+    assert not any("falls into parts" in str(note) for note in source.notes)
+
+
 def test_images_of_a_rig_hold_each_other(tmp_path):
     model, _ = make_model(rig=True)
     unseen(model, ("cam1/03.png",))

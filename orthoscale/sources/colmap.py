@@ -93,8 +93,10 @@ class ColmapSource:
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         loose = frozenset(loose_images(model, files.seen))
         pictures = find_frames(model, files.folder, images, need_images, notes, loose)
-        if len(files.parts) > 1:
-            *most, last = (str(len(part)) for part in files.parts)
+        parts = tuple(tuple(name for name in part if name not in loose) for part in files.parts)
+        parts = tuple(part for part in parts if len(part) > 1)
+        if len(parts) > 1:
+            *most, last = (str(len(part)) for part in parts)
             sizes = f"{', '.join(most)} and {last} images"
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
@@ -113,7 +115,7 @@ class ColmapSource:
             _paths=files.paths,
             _model=model,
             _stamps=files.stamps,
-            _parts=files.parts,
+            _parts=parts,
             _loose=loose,
         )
 
