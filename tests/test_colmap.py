@@ -514,6 +514,16 @@ def test_files_of_another_flight_among_the_frames(plain, tmp_path):
     assert f"the first is {tmp_path / 'frames' / images[4].name}" in note.text
 
 
+def test_points_without_a_colour_do_not_count(tmp_path):
+    """COLMAP's mapper leaves points black that it makes after it has read the colours of their images."""
+    model, _ = make_model()
+    for image in model.images.values():
+        draw_points(model, image, tmp_path / "frames" / image.name)
+    for number in sorted(model.points3D)[::3]:
+        model.points3D[number].color = np.zeros(3, np.uint8)
+    assert ColmapSource.open(save(model, tmp_path / "m", "bin"), tmp_path / "frames").notes == []
+
+
 def test_a_point_of_a_frame_is_read_to_a_pixel_and_lies_in_it(plain, model_bin, tmp_path):
     put_frames(plain, tmp_path / "frames")
     source = ColmapSource.open(model_bin, tmp_path / "frames")

@@ -208,6 +208,68 @@ def test_one_place_is_refused_although_it_reprojects(tmp_path):
     assert "all 12 cameras stand in one place" in refusal(save(model, tmp_path / "m", "bin"))
 
 
+def unseen(model, names, but: int = 0) -> None:
+    """No observation of a point in the images `names`, or `but` a few; and those that stand alone are misplaced."""
+    for image in model.images.values():
+        if image.name in names:
+            for k in np.flatnonzero([point.has_point3D() for point in image.points2D])[but:].tolist():
+                model.delete_observation(image.image_id, k)
+            if model.frames[image.frame_id].num_data_ids() == 1:
+                pose = image.cam_from_world()
+                model.frames[image.frame_id].rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + 5.0)
+
+
+@pytest.mark.parametrize("but", [0, 12])
+def test_images_that_hardly_any_points_hold_are_left_out(tmp_path, but):
+    """As global mappers leave them: 12 observations are enough to show that their place is wrong, but not to hold it.
+    The model that is written has them."""
+    model, _ = make_model()
+    unseen(model, ("03.png", "07.png"), but)
+    put_frames(model, tmp_path / "images")
+    source = ColmapSource.open(save(model, tmp_path / "m", "bin"))
+    assert any("2 of 12 images are left out, the first is 03.png" in str(note) for note in source.notes)
+    assert len(source.picture_names) == len(source.pictures) == 10 and "03.png" not in source.picture_names
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    assert pycolmap.Reconstruction(str(tmp_path / "out")).num_reg_images() == 12
+
+
+def test_images_that_are_left_out_are_no_part(tmp_path):
+    """Two such images that share points with each other alone."""
+    model, _ = make_model()
+    unseen(model, ("03.png", "07.png"))
+    pair = [image.image_id for image in model.images.values() if image.name in ("03.png", "07.png")]
+    for k in range(12):
+        elements = [pycolmap.TrackElement(number, k) for number in pair]
+        model.add_point3D(np.array([0.1 * k, 0.2, 0.0]), pycolmap.Track(elements), np.full(3, 99, np.uint8))
+    source = opened(save(model, tmp_path / "m", "bin"))
+    assert len(source.picture_names) == 10 and source.parts == []
+    assert not any("falls into parts" in str(note) for note in source.notes)
+
+
+def test_images_of_a_rig_hold_each_other(tmp_path):
+    model, _ = make_model(rig=True)
+    unseen(model, ("cam1/03.png",))
+    source = opened(save(model, tmp_path / "m", "bin"))
+    assert len(source.picture_names) == 24 and not any("left out" in str(note) for note in source.notes)
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm, opensfm])
+def test_other_programs_leave_such_images_too(tmp_path, writer):
+    model = make_model("SIMPLE_PINHOLE", (400, 320, 240))[0]
+    unseen(model, ("03.png", "07.png"), 5)
+    path = writer(model, tmp_path)
+    put_frames(model, tmp_path / "images")
+    if writer is opensfm:
+        tracks(model, tmp_path / "tracks.csv")
+    source = open_source(path)
+    assert [str(note) for note in source.notes if "2 of 12 images are left out, the first is 03.png" in str(note)]
+    assert len(source.picture_names) == len(source.pictures) == 10
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    assert "03.png" in (tmp_path / "out" / path.name).read_text() or writer is bundler
+
+
 @pytest.mark.parametrize("writer", [bundler, nvm, opensfm])
 def test_other_programs(tmp_path, writer):
     """Sound, then with a focal length of 1.5 times; and without tracks, which is said."""

@@ -158,9 +158,10 @@ def test_too_few_tracks_say_nothing():
 
 @pytest.mark.parametrize("formal, said", [(0.02, "determine the focal length only to 20 %"), (0.149, "leave the")])
 def test_what_may_be_anything_has_no_percentage(monkeypatch, formal, said):
-    """It was "determined only to 149 %"."""
+    """It was "determined only to 149 %". Frames that look ahead were told that they look straight down."""
     monkeypatch.setattr(focal, "focal_sd", lambda model: formal)
     doubt = focal_doubt(pycolmap.Reconstruction(), [])
+    assert "flat ground, above all from straight above:" in doubt.said
     assert said in doubt.said and "149" not in doubt.said and doubt.sd == pytest.approx(10 * formal)
 
 

@@ -28,7 +28,7 @@ from .colmap_beside import copy_beside
 from .colmap_check import open_model
 from .colmap_dense import dense_of
 from .colmap_write import read_model, write_scaled
-from .consistency import check_consistency
+from .consistency import check_consistency, loose_images
 from .database import pose_priors
 from .dense_cloud import DenseCloud, sparse_points
 from .dense_ground import dense_ground
@@ -75,6 +75,7 @@ class ColmapSource:
     cloud: DenseCloud | None = None
     _stamps: tuple[Stamp, ...] = ()  # of the files, before they were read
     _parts: tuple[tuple[str, ...], ...] = ()  # as in `ModelFiles`
+    _loose: frozenset[str] = frozenset()  # names of `loose_images`, which are left out
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
@@ -90,9 +91,12 @@ class ColmapSource:
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
-        pictures = find_frames(model, files.folder, images, need_images, notes)
-        if len(files.parts) > 1:
-            *most, last = (str(len(part)) for part in files.parts)
+        loose = frozenset(loose_images(model, files.seen))
+        pictures = find_frames(model, files.folder, images, need_images, notes, loose)
+        parts = tuple(tuple(name for name in part if name not in loose) for part in files.parts)
+        parts = tuple(part for part in parts if len(part) > 1)
+        if len(parts) > 1:
+            *most, last = (str(len(part)) for part in parts)
             sizes = f"{', '.join(most)} and {last} images"
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
@@ -111,7 +115,8 @@ class ColmapSource:
             _paths=files.paths,
             _model=model,
             _stamps=files.stamps,
-            _parts=files.parts,
+            _parts=parts,
+            _loose=loose,
         )
 
     def on_cloud(self, cloud: DenseCloud) -> Self:
@@ -271,7 +276,7 @@ class ColmapSource:
 
     @property
     def picture_names(self) -> list[str]:
-        """Names of all registered images, also of those whose frames are missing."""
+        """Names of all registered images, also of those whose frames are missing; without `loose_images`."""
         return sorted(self._images)
 
     def _image(self, name: str) -> pycolmap.Image:
@@ -283,7 +288,8 @@ class ColmapSource:
 
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
-        return {self._model.image(i).name: self._model.image(i) for i in self._model.reg_image_ids()}
+        images = (self._model.image(i) for i in self._model.reg_image_ids())
+        return {image.name: image for image in images if image.name not in self._loose}
 
     @cached_property
     def _cameras(self) -> dict[str, np.ndarray]:

@@ -6,7 +6,8 @@ point, or with files of two models in one folder, they do not; vehicles would th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,9 @@ RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
 # points with a triangulation angle under 1.5 degrees, which is 0.026 of the distance.
 ONE_PLACE = 0.01
 ONE_LINE = 0.01  # how far cameras on one line may stand beside it, as a share of its length
+# Observations that hold a pose, at least; as a share of the usual number, if that is less. COLMAP's incremental mapper
+# registers no image by fewer (abs_pose_min_num_inliers) but can lose them later; global mappers keep images with none.
+LEAST_HELD, LEAST_OF_USUAL = 30, 0.1
 MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
@@ -58,6 +62,13 @@ class Observations:
     pixels: np.ndarray
     points: np.ndarray
 
+    def without(self, names: Collection[str]) -> Observations:
+        """All but those of the images `names`."""
+        keep = np.array([name not in names for name in self.names], bool)
+        rest = keep[self.image]
+        kept = tuple(name for name, ok in zip(self.names, keep, strict=True) if ok)
+        return Observations(kept, (np.cumsum(keep) - 1)[self.image[rest]], self.pixels[rest], self.points[rest])
+
 
 def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
     """Indices of the observations to check, of images that have `counts` of them. Deterministic."""
@@ -66,17 +77,39 @@ def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
     return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
 
 
+def loose_images(model: pycolmap.Reconstruction, seen: Observations) -> list[str]:
+    """Names of the images whose places in `model` hardly any of the observations `seen` hold, so that they may stand
+    anywhere. Images of one frame of a rig hold each other."""
+    count = dict(zip(seen.names, np.bincount(seen.image, minlength=len(seen.names)).tolist(), strict=True))
+    images = [model.image(number) for number in model.reg_image_ids()]
+    held = Counter({image.frame_id: 0 for image in images})
+    for image in images:
+        held[image.frame_id] += count.get(image.name, 0)
+    least = min(LEAST_HELD, LEAST_OF_USUAL * float(np.median(list(held.values()))))
+    return sorted(image.name for image in images if held[image.frame_id] < least)
+
+
 def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[Remark]:
     """Compare `model`, which lies at `where`, with the observations of its images; returns remarks for the user.
 
     Raises InputError, naming cameras or images and their errors, for a model whose points project elsewhere than they
-    were seen, and for one whose cameras all stand in one place.
+    were seen, and for one whose cameras all stand in one place. What `loose_images` show does not count.
     """
+    loose = loose_images(model, seen)
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    seen, whole = seen.without(loose), len(images)
+    for name in loose:
+        del images[name]
     centres = np.array([image.projection_center() for image in images.values()])
     if len(seen.image):
         _check_projections(where, model, [images[name] for name in seen.names], seen)
         notes: list[Remark] = []
+        if loose:
+            text = (
+                f"{len(loose)} of {whole} images are left out, the first is {loose[0]}: hardly any points were seen in "
+                "them, so that they may stand anywhere"
+            )
+            notes.append(Remark(CAUTION, text))
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
         distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
     else:

@@ -64,7 +64,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
     known = f"determine the focal length only to {100 * sd:.0f} % (1 sigma)"
     known = known if sd < FOCAL_UNKNOWN else "leave the focal length unknown"
     what = (
-        f"the frames {known}, as is usual for flat ground seen "
+        f"the frames {known}, as is usual for flat ground, above all "
         "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     )
     if told is None:

@@ -29,7 +29,7 @@ FRAMES_COMPARED = 5  # that are checked for places and colours, spread over all
 FRAMES_GLANCED_AT = 20  # that are checked for colours in the model's places, which is quick
 GLANCE = 4  # by what factor large frames are reduced for it
 LEAST_POINTS = 50  # of a frame that can be checked
-LEAST_CONTRAST = 5.0  # [of 255] standard deviation: points without colours are black, and a blank frame shows nothing
+LEAST_CONTRAST = 5.0  # [of 255] standard deviation: a blank frame shows nothing
 OWN_FRAMES = 0.5  # median correlation of the frames from which they are the model's
 # Correlation at other places from which the points surely lie there; by how much it must exceed that in the model's
 # places; and the least error [relative] that is reported. An error of 1 % costs the four models 0.03 to 0.2 of the
@@ -133,10 +133,12 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
 
 
 def _points_of(model: pycolmap.Reconstruction, image: pycolmap.Image) -> tuple[np.ndarray, np.ndarray]:
-    """Places (N, 2) of the model's points in `image` [px], and their brightness (N,) [0 to 255]."""
+    """Places (N, 2) of the model's points in `image` [px], and their brightness (N,) [0 to 255]; without black ones:
+    COLMAP's mapper leaves some points without a colour, which may be a third of a frame's."""
     seen = [point for point in image.points2D if point.has_point3D()]
-    colours = [model.points3D[point.point3D_id].color for point in seen]
-    return np.array([point.xy for point in seen]).reshape(-1, 2), np.array(colours, float).reshape(-1, 3).mean(1)
+    place = np.array([point.xy for point in seen]).reshape(-1, 2)
+    colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3).mean(1)
+    return place[colours > 0], colours[colours > 0]
 
 
 def _likeness(pixels: np.ndarray, place: np.ndarray, colours: np.ndarray) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from mimetypes import guess_type
 from pathlib import Path, PureWindowsPath
@@ -25,10 +25,17 @@ IMAGES_ABOVE = 3  # folders above a model that are searched for its images, as f
 
 
 def find_frames(
-    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[Remark]
+    model: pycolmap.Reconstruction,
+    folder: Path,
+    images: Path | str | None,
+    need_images: bool,
+    notes: list[Remark],
+    without: Collection[str] = (),
 ) -> list[PictureFile]:
-    """The frames of `model`, which lies in `folder`, that are on disk; adds to `notes`. See `ColmapSource.open`."""
+    """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; adds to
+    `notes`. See `ColmapSource.open`."""
     registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    registered = {name: image for name, image in registered.items() if name not in without}
     place_of = dict(zip(sorted(registered), places_of(sorted(registered)), strict=True))
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))

@@ -27,7 +27,7 @@ from ..formats.geometry.poses import cloud_name, read_poses
 from ..formats.reading import reason
 from .colmap_check import FARTHEST
 from .colmap_tables import CUT_VIEWS, SPHERICAL
-from .consistency import Observations, check_consistency, observations, some_of_each
+from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
 from .frames import find_frames
 from .one_file import OneFileSource
@@ -64,12 +64,14 @@ class ExchangeSource(OneFileSource):
         path = Path(path)
         stamp = Stamp.of(path)
         model, others, said, tracks = _read(path)
-        notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
-        pictures = find_frames(model, path.parent, images, need_images, notes)
+        seen = _seen(path, model, tracks)
+        notes = [*informing(said), *check_consistency(path, model, seen)]
+        loose = frozenset(loose_images(model, seen))
+        pictures = find_frames(model, path.parent, images, need_images, notes, loose)
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))
         found = path.parent, "json", pictures, notes, (path, *others), model
-        return cls(path, *found, images, need_images, _stamps=stamps)
+        return cls(path, *found, images, need_images, _stamps=stamps, _loose=loose)
 
     @property
     def by_orthoscale(self) -> bool:

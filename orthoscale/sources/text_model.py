@@ -16,7 +16,7 @@ from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, image_names, read_text_model
-from .consistency import Observations, check_consistency, observations, some_of_each
+from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
 from .frames import find_frames, image_folder, places_of
 from .json_model import build_model
@@ -48,10 +48,12 @@ class TextSource(OneFileSource):
             notes.append(Remark(CAUTION, left))
         sizes = {name: _size(root / name) for name in set(wanted) - set(missing)}
         model = _built(path, text, names, sizes)
-        notes += check_consistency(path, model, _observations(text, names, model))
-        pictures = find_frames(model, path.parent, root, need_images, notes)
+        seen = _observations(text, names, model)
+        notes += check_consistency(path, model, seen)
+        loose = frozenset(loose_images(model, seen))
+        pictures = find_frames(model, path.parent, root, need_images, notes, loose)
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
-        return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)))
+        return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
 
     def _write_file(self, out: Path, scale: float) -> None:
         scale_file(self.path, out, scale)
@@ -60,7 +62,9 @@ class TextSource(OneFileSource):
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
-        return _built(out, text, _names(out, text)[0], {name: self.image_size(name) for name in self.picture_names})
+        cameras = {image.name: self._model.camera(image.camera_id) for image in self._model.images.values()}
+        sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
+        return _built(out, text, _names(out, text)[0], sizes)
 
 
 def _names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
