@@ -46,7 +46,7 @@ FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LONGEST_LENS = 2.5  # longer sides of the picture: 90 mm on full frame; aerial cameras have two at most
-LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
+LENS_UNKNOWNS = 3  # columns shared by all images of a camera: focal length, and two of radial distortion
 
 
 def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> FocalDoubt:
@@ -132,12 +132,14 @@ def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
 def focal_sd(model: pycolmap.Reconstruction) -> float | None:
     """Formal relative one-sigma of the focal length of `model`, from its tracks; None if there are too few.
 
-    All its cameras are taken for one with radial distortion, adjusted together with poses and points.
+    Each camera has its own, and radial distortion, adjusted together with poses and points; of several, the mean's.
     """
     block = _Block.of(model)
     if block is None:
         return None
-    return block.sd(np.eye(block.unknowns)[-LENS_UNKNOWNS])
+    asked = np.zeros(block.unknowns)
+    asked[block.of_lens(block.lens, 0)] = 1 / (block.lens.max() + 1)
+    return block.sd(asked)
 
 
 def bend_sd(model: pycolmap.Reconstruction, up: np.ndarray) -> float:
@@ -157,8 +159,9 @@ def bend_sd(model: pycolmap.Reconstruction, up: np.ndarray) -> float:
     slope = by_point @ np.linalg.pinv(by_point.T @ by_point, rcond=HELD) * (by_point**2).sum()
     by_point = by_point + np.outer(slope @ (tilt - lean), up)
     by_shift = block.distance * np.einsum("nij,nj->ni", block.rotation, by_centre)
-    by_pose = np.column_stack([np.zeros_like(by_shift), by_shift])
-    return SYSTEMATIC * block.sd(np.r_[by_pose.ravel(), np.zeros(LENS_UNKNOWNS)], by_point)
+    asked = np.zeros(block.unknowns)
+    asked[: 2 * by_shift.size] = np.column_stack([np.zeros_like(by_shift), by_shift]).ravel()
+    return SYSTEMATIC * block.sd(asked, by_point)
 
 
 def _by_spread(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,13 +177,14 @@ def _by_spread(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarr
 @dataclass(frozen=True)
 class _Block:
     """What a bundle adjustment would adjust. tracks : place, images and error [px] of each point; the images as numbers
-    of the poses: rotation (N, 3, 3), shift (N, 3). focal : (N,) [px]. distance : typical one of the cameras from the
-    origin, the unit of their shifts."""
+    of the poses: rotation (N, 3, 3), shift (N, 3). focal : (N,) [px]. lens : (N,) number of its camera, from 0.
+    distance : typical one of the cameras from the origin, the unit of their shifts."""
 
     tracks: list[_Track]
     rotation: np.ndarray
     shift: np.ndarray
     focal: np.ndarray
+    lens: np.ndarray
     distance: float
 
     @classmethod
@@ -199,14 +203,20 @@ class _Block:
             return None
         poses = [model.image(number).cam_from_world() for number in numbers]
         shift = np.array([pose.translation for pose in poses])
-        focal = np.array([model.camera(model.image(number).camera_id).mean_focal_length() for number in numbers])
+        cameras = [model.image(number).camera_id for number in numbers]
+        focal = np.array([model.camera(camera).mean_focal_length() for camera in cameras])
+        lens = np.unique(cameras, return_inverse=True)[1]
         distance = float(np.median(np.linalg.norm(shift, axis=1))) or 1.0
-        return cls(tracks, np.array([pose.rotation.matrix() for pose in poses]), shift, focal, distance)
+        return cls(tracks, np.array([pose.rotation.matrix() for pose in poses]), shift, focal, lens, distance)
 
     @property
     def unknowns(self) -> int:
-        """Of poses and lens, without the points: three of rotation and three of shift for each, then the lens."""
-        return 6 * len(self.rotation) + LENS_UNKNOWNS
+        """Of poses and lenses, without the points: three of rotation and three of shift for each, then the lenses."""
+        return 6 * len(self.rotation) + LENS_UNKNOWNS * (int(self.lens.max()) + 1)
+
+    def of_lens(self, lens: np.ndarray, which: int | np.ndarray) -> np.ndarray:
+        """Places among the unknowns of those of each `lens`: `which` of its LENS_UNKNOWNS."""
+        return 6 * len(self.rotation) + LENS_UNKNOWNS * lens + which
 
     def sd(self, asked: np.ndarray, of_points: np.ndarray | None = None) -> float:
         """Formal one-sigma of a quantity with the derivatives `asked` (unknowns,), and `of_points` (tracks, 3)."""
@@ -214,12 +224,14 @@ class _Block:
         reduced = np.zeros((size, size))
         for number, (xyz, k, error) in enumerate(self.tracks):
             by_camera, by_point = _jacobians(xyz, self.rotation[k], self.shift[k], self.focal[k], self.distance)
+            lenses, of = np.unique(self.lens[k], return_inverse=True)
             places = (6 * k[:, None] + np.arange(6)).ravel()
-            places = np.r_[places, size - LENS_UNKNOWNS + np.arange(LENS_UNKNOWNS)]
-            whole = np.zeros((len(k), 2, 6 * len(k) + LENS_UNKNOWNS))
+            places = np.r_[places, self.of_lens(lenses[:, None], np.arange(LENS_UNKNOWNS)).ravel()]
+            whole = np.zeros((len(k), 2, len(places)))
             for n in range(len(k)):
                 whole[n, :, 6 * n : 6 * n + 6] = by_camera[n, :, :6]
-                whole[n, :, -LENS_UNKNOWNS:] = by_camera[n, :, 6:]
+                first = 6 * len(k) + LENS_UNKNOWNS * of[n]
+                whole[n, :, first : first + LENS_UNKNOWNS] = by_camera[n, :, 6:]
             a, b = whole.reshape(2 * len(k), -1) / error, by_point.reshape(2 * len(k), 3) / error
             q, r = np.linalg.qr(b)  # q spans the part of the information that the point takes up
             left = a - q @ (q.T @ a)
