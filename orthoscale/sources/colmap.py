@@ -90,8 +90,8 @@ class ColmapSource:
         """
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
-        notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
-        loose = frozenset(loose_images(model, files.seen))
+        loose = loose_images(model, files.seen)
+        notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen, loose)]
         pictures = find_frames(model, files.folder, images, need_images, notes, loose)
         parts = tuple(tuple(name for name in part if name not in loose) for part in files.parts)
         parts = tuple(part for part in parts if len(part) > 1)

@@ -77,7 +77,7 @@ def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
     return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
 
 
-def loose_images(model: pycolmap.Reconstruction, seen: Observations) -> list[str]:
+def loose_images(model: pycolmap.Reconstruction, seen: Observations) -> frozenset[str]:
     """Names of the images whose places in `model` hardly any of the observations `seen` hold, so that they may stand
     anywhere. Images of one frame of a rig hold each other."""
     count = dict(zip(seen.names, np.bincount(seen.image, minlength=len(seen.names)).tolist(), strict=True))
@@ -86,28 +86,28 @@ def loose_images(model: pycolmap.Reconstruction, seen: Observations) -> list[str
     for image in images:
         held[image.frame_id] += count.get(image.name, 0)
     least = min(LEAST_HELD, LEAST_OF_USUAL * float(np.median(list(held.values()))))
-    return sorted(image.name for image in images if held[image.frame_id] < least)
+    return frozenset(image.name for image in images if held[image.frame_id] < least)
 
 
-def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[Remark]:
+def check_consistency(
+    where: object, model: pycolmap.Reconstruction, seen: Observations, loose: frozenset[str]
+) -> list[Remark]:
     """Compare `model`, which lies at `where`, with the observations of its images; returns remarks for the user.
 
     Raises InputError, naming cameras or images and their errors, for a model whose points project elsewhere than they
-    were seen, and for one whose cameras all stand in one place. What `loose_images` show does not count.
+    were seen, and for one whose cameras all stand in one place. What its `loose_images` show does not count.
     """
-    loose = loose_images(model, seen)
-    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    seen, whole = seen.without(loose), len(images)
-    for name in loose:
-        del images[name]
+    every = [model.image(number) for number in model.reg_image_ids()]
+    images = {image.name: image for image in every if image.name not in loose}
+    seen = seen.without(loose)
     centres = np.array([image.projection_center() for image in images.values()])
     if len(seen.image):
         _check_projections(where, model, [images[name] for name in seen.names], seen)
         notes: list[Remark] = []
         if loose:
             text = (
-                f"{len(loose)} of {whole} images are left out, the first is {loose[0]}: hardly any points were seen in "
-                "them, so that they may stand anywhere"
+                f"{len(loose)} of {len(every)} images are left out, the first is {min(loose)}: hardly any points were "
+                "seen in them, so that they may stand anywhere"
             )
             notes.append(Remark(CAUTION, text))
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]

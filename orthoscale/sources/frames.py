@@ -34,8 +34,8 @@ def find_frames(
 ) -> list[PictureFile]:
     """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; adds to
     `notes`. See `ColmapSource.open`."""
-    registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    registered = {name: image for name, image in registered.items() if name not in without}
+    images_of_model = (model.image(number) for number in model.reg_image_ids())
+    registered = {image.name: image for image in images_of_model if image.name not in without}
     place_of = dict(zip(sorted(registered), places_of(sorted(registered)), strict=True))
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))

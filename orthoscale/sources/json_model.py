@@ -65,8 +65,8 @@ class ExchangeSource(OneFileSource):
         stamp = Stamp.of(path)
         model, others, said, tracks = _read(path)
         seen = _seen(path, model, tracks)
-        notes = [*informing(said), *check_consistency(path, model, seen)]
-        loose = frozenset(loose_images(model, seen))
+        loose = loose_images(model, seen)
+        notes = [*informing(said), *check_consistency(path, model, seen, loose)]
         pictures = find_frames(model, path.parent, images, need_images, notes, loose)
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))

@@ -49,8 +49,8 @@ class TextSource(OneFileSource):
         sizes = {name: _size(root / name) for name in set(wanted) - set(missing)}
         model = _built(path, text, names, sizes)
         seen = _observations(text, names, model)
-        notes += check_consistency(path, model, seen)
-        loose = frozenset(loose_images(model, seen))
+        loose = loose_images(model, seen)
+        notes += check_consistency(path, model, seen, loose)
         pictures = find_frames(model, path.parent, root, need_images, notes, loose)
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
         return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
