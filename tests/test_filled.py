@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.enums import Resampling
-from support.drawings import WithoutNetwork
+from support.drawings import Windows, WithoutNetwork
 
 from orthoscale.anchors import kinds
 from orthoscale.anchors.search import Sought, search
@@ -26,20 +26,20 @@ WIDTH, HEIGHT = 12000, 9000  # of a mosaic of which one block was flown, 4 % of 
 BLOCK = (8000, 5000, 2080)  # left, top, side
 
 
-class Mosaic:
+class Mosaic(Windows):
     """A picture that shows noise in some blocks (left, top, side), and is grey elsewhere; it notes what is read."""
 
-    name, width, height = "mosaic", WIDTH, HEIGHT
+    name = "mosaic"
 
     def __init__(self, *blocks):
+        super().__init__(WIDTH, HEIGHT)
         self.blocks, self.reads = blocks, []
         self.noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), dtype=np.uint8)
 
     def decoded_px(self, width, height, out_width, out_height):
         return float(width * height)
 
-    def read(self, x, y, width, height, out_width, out_height):
-        self.window = (x, y, width)
+    def shown(self, x, y, width, height, out_width, out_height):
         self.reads.append((x, y, width, height))
         image = np.full((out_height, out_width, 3), 114, np.uint8)
         for left, top, side in self.blocks:
@@ -73,8 +73,7 @@ class Cars(WithoutNetwork):
         self.picture, self.card = picture, Detector().card
 
     def __call__(self, image, threshold=None):
-        x, y, width = self.picture.window
-        zoom = image.shape[1] / width
+        x, y, zoom = self.picture.window_of(image)
         shown = self.boxes.mapped(zoom, (-x * zoom, -y * zoom))
         inside = ((shown.centre > 0) & (shown.centre < image.shape[1::-1])).all(1)
         return shown[inside & (shown.length > 10) & (shown.length < 80)]
@@ -197,10 +196,7 @@ def test_anchors_are_looked_for_where_there_is_something():
 
 def test_a_strip_is_not_lost_between_the_patches():
     """A corridor 300 px wide where cells are 1,024 px: much of it is found, and none of the other side."""
-
-    class Corridor(Mosaic):
-        width = height = 65536
-
-    picture = Corridor(*((20000, top, 300) for top in range(0, 65536, 300)))
+    picture = Mosaic(*((20000, top, 300) for top in range(0, 65536, 300)))
+    picture.width = picture.height = 65536
     cells = filled(picture).cells
     assert cells[:, 18:21].any(1).mean() > 0.5 and not cells[:, 25:].any()

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from support.drawings import WithoutNetwork
+from support.drawings import Windows, WithoutNetwork
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
@@ -93,16 +93,15 @@ def test_only_promising_zooms_are_looked_at_more_widely():
     cars = Boxes(np.column_stack([spots, np.tile([40, 17, 0.3], (24, 1))]), np.full(24, 0.6))
     seen = {}
 
-    class Where(Pixels):
+    class Counted(Windows):
         def read(self, x, y, width, height, out_width, out_height):
-            self.window = (x, y, width, height, out_width / width)
             seen[round(out_width / width, 3)] = seen.get(round(out_width / width, 3), 0) + out_width * out_height
-            return np.zeros((out_height, out_width, 3), np.uint8)
+            return super().read(x, y, width, height, out_width, out_height)
 
-    picture = Where(np.zeros((12000, 12000, 3), np.uint8))
+    picture = Counted(12000, 12000)
 
     def detect(image, threshold=None):
-        x, y, _, _, zoom = picture.window
+        x, y, zoom = picture.window_of(image)
         usable = 12 <= 40 * zoom <= 70
         return cars.mapped(zoom, (-x * zoom, -y * zoom)) if usable else Boxes.empty()
 
@@ -123,23 +122,11 @@ class Seen(WithoutNetwork):
         self.card, self.sha256 = Detector().card, ""
 
     def __call__(self, image, threshold=None):
-        x, y, zoom = self.picture.window
+        x, y, zoom = self.picture.window_of(image)
         shown = self.boxes.mapped(zoom, (-x * zoom, -y * zoom))
         usable = (shown.length > 10) & (shown.length < 80) & (shown.centre >= 0).all(1)
         luck = np.random.default_rng(round(1000 * zoom)).uniform(size=len(shown))  # the same from window to window
         return shown[usable & (luck < self.chance)]
-
-
-class Windows(Pixels):
-    """An empty picture that says which part of it was read last."""
-
-    def __init__(self, side):
-        super().__init__(np.zeros((1, 1, 3), np.uint8))
-        self.width = self.height = side
-
-    def read(self, x, y, width, height, out_width, out_height):
-        self.window = (x, y, out_width / width)
-        return np.zeros((out_height, out_width, 3), np.uint8)
 
 
 def scattered(seed, side, length, count, scatter=0.08):
@@ -152,7 +139,7 @@ def scattered(seed, side, length, count, scatter=0.08):
 @pytest.mark.parametrize("count, luck", [(2500, 0.25), (120, 0.6)])
 def test_many_mistakes_in_a_large_picture_do_not_outvote_few_vehicles(count, luck):
     side = 4000
-    picture = Windows(side)
+    picture = Windows(side, side)
     vehicles, glints = scattered(1, side, 160, 10), scattered(2, side, 20, count)
     chance = np.r_[np.full(10, 0.95), np.full(count, luck)]
     detector = Seen(picture, Boxes.concatenate([vehicles, glints]), chance)
@@ -162,7 +149,7 @@ def test_many_mistakes_in_a_large_picture_do_not_outvote_few_vehicles(count, luc
 
 @pytest.mark.parametrize("count, found", [(1, False), (12, True)])
 def test_one_thing_that_two_zooms_agree_on_is_no_size_of_vehicles(count, found):
-    picture = Windows(1700)
+    picture = Windows(1700, 1700)
     detector = Seen(picture, scattered(1, 1700, 60, count), np.ones(count))
     choice = search_zoom([picture], detector, detector.card)
     assert (choice.vehicle_px is not None) == found and choice.votes > 0
@@ -170,7 +157,7 @@ def test_one_thing_that_two_zooms_agree_on_is_no_size_of_vehicles(count, found):
 
 @pytest.mark.parametrize("scatter, contested", [(0.08, False), (0.3, True)])
 def test_lengths_that_scatter_more_than_those_of_vehicles_are_contested(scatter, contested):
-    picture = Windows(1700)
+    picture = Windows(1700, 1700)
     detector = Seen(picture, scattered(1, 1700, 60, 60, scatter), np.ones(60))
     choice = search_zoom([picture], detector, detector.card)
     assert choice.vehicle_px == pytest.approx(60, rel=0.15) and (choice.rival > CONTESTED) == contested
@@ -179,7 +166,7 @@ def test_lengths_that_scatter_more_than_those_of_vehicles_are_contested(scatter,
 @pytest.mark.parametrize("other", [20, 90])
 def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_them(other):
     side = 1700  # small enough to be looked at as a whole
-    picture = Windows(side)
+    picture = Windows(side, side)
     both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 20)])
     detector = Seen(picture, both, np.ones(len(both)))
     with pytest.raises(EvidenceDisagrees, match=r"vehicles may be \d+ px long, or \d+ px") as refusal:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, groupby, islice
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from ..errors import UsageError
 from ..system.threads import Threads
 from .detector import Card
 from .filled import Filled, Windowed, filled
-from .tiles import Detect, look, tiles
+from .tiles import Detect, place, read, tiles
 
 # Where these numbers come from: BUDGET's second and DECODED's ratio were measured on two cores. The rest follows from
 # what each comment says, or was chosen by eye when the search was written (commits b828208, ab86001, 039154f), so that
@@ -43,6 +44,7 @@ WINDOW = 768  # side of a sample window [px of the network's input]
 # 0.16 km2 of ground, whatever that zoom is, so the same budget for all of them is fair.
 BUDGET = 12e6
 DECODED = 8.0  # pixels decoded in the time that the network takes for one (deflate: 18 ns against 150 ns)
+READ_TOGETHER = 4  # windows of a picture that are read at once, at most; each takes 2 to 3 MB
 WIDER = (4, 16)  # factors on BUDGET in later rounds, only for zooms that the rounds before found promising
 USUAL = (1 / 8, 1.0)  # if no zoom is promising, those of drone pictures (1 to 12 cm/px) get one more look
 PROMISING = 0.5  # votes that make a length worth another look; one vehicle that two zooms agree on gives as much
@@ -103,14 +105,10 @@ def search_zoom(
     order = np.random.default_rng(seed).permutation(len(pictures))
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _ZoomVotes:
-        with Threads(workers) as pool:
-            # All zooms at once: a coarse one has only a window or two, and most threads would wait for it.
-            work = [(level, level.windows(pictures, order, budget)) for level in chosen]
-            looks = [pool.map(lambda one: look(pictures[one[0]], one[1], detect), windows) for _, windows in work]
-            for k, ((level, windows), seen) in enumerate(zip(work, looks, strict=True), 1):
-                level.keep(windows, seen, card)
-                if progress:
-                    progress(k, len(chosen))
+        work = [level.windows(pictures, order, budget) for level in chosen]
+        seen = iter(_looks(pictures, list(chain(*work)), detect, workers, progress))
+        for level, windows in zip(chosen, work, strict=True):
+            level.keep(windows, islice(seen, len(windows)), card)
         return _votes(levels, card.usable_length[0])
 
     votes = look_at(levels, BUDGET)
@@ -146,6 +144,35 @@ def sample(pictures: Sequence[Picture], zoom: float, seed: int = 0) -> list[tupl
     round."""
     level = _Level(zoom, [filled(picture) for picture in pictures])
     return level.windows(pictures, np.random.default_rng(seed).permutation(len(pictures)), BUDGET)
+
+
+def _looks(
+    pictures: Sequence[Picture],
+    windows: Sequence[tuple[int, Tile]],
+    detect: Detect,
+    workers: int,
+    progress: Callable[[int, int], None] | None,
+) -> list[Boxes]:
+    """What `detect` sees in each of the `windows` (picture number, tile).
+
+    Those of one picture, whatever their zoom, are read READ_TOGETHER at a time: memory holds few frames, and to decode
+    one takes longer than to look at a window of it.
+    """
+    turn = sorted(range(len(windows)), key=lambda k: windows[k][0])  # stable: by zoom within a picture
+    same = (list(numbers) for _, numbers in groupby(turn, key=lambda k: windows[k][0]))
+    jobs = [numbers[k : k + READ_TOGETHER] for numbers in same for k in range(0, len(numbers), READ_TOGETHER)]
+
+    def done(numbers: Sequence[int]) -> list[Boxes]:
+        shown = [(windows[k][1], read(pictures[windows[k][0]], windows[k][1])) for k in numbers]
+        return [place(detect(image), tile) for tile, image in shown]
+
+    seen: dict[int, Boxes] = {}
+    with Threads(workers) as pool:
+        for numbers, boxes in zip(jobs, pool.map(done, jobs), strict=True):
+            seen |= zip(numbers, boxes, strict=True)
+            if progress:
+                progress(len(seen), len(windows))
+    return [seen[k] for k in range(len(windows))]
 
 
 @dataclass

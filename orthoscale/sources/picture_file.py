@@ -11,6 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
@@ -138,12 +139,16 @@ def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], w
 
 
 class Memory:
-    """Decoded pictures, the most recently used last; the first ones are dropped if all take more than KEPT_SHARE."""
+    """Decoded pictures, the most recently used last; the first ones are dropped if all take more than KEPT_SHARE.
+
+    Threads that want the same picture at once wait for the first of them to make it.
+    """
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, np.ndarray] = OrderedDict()
         self._lock = threading.RLock()
         self._alone = threading.RLock()
+        self._makers: WeakValueDictionary[Hashable, threading.RLock] = WeakValueDictionary()
 
     @contextmanager
     def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
@@ -157,15 +162,18 @@ class Memory:
 
     def _get(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> np.ndarray:
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-            self._make_room(size)
-        made = make()
-        made.flags.writeable = False
-        with self._lock:
-            self._make_room(size)
-            self._kept[key] = made
+            maker = self._makers.setdefault(key, threading.RLock())
+        with maker:
+            with self._lock:
+                if key in self._kept:
+                    self._kept.move_to_end(key)
+                    return self._kept[key]
+                self._make_room(size)
+            made = make()
+            made.flags.writeable = False
+            with self._lock:
+                self._make_room(size)
+                self._kept[key] = made
         return made
 
     def _make_room(self, size: int) -> None:

@@ -35,6 +35,39 @@ class Drawing:
         return cv2.resize(window, (out_width, out_height), interpolation=how)
 
 
+class Windows:
+    """A picture of `width` x `height` px of which detectors need to know only which window they were given.
+
+    `window` is the last one that was read: its left and upper end and its width [px of the picture].
+    """
+
+    name = "windows"
+
+    def __init__(self, width, height):
+        self.width, self.height = width, height
+        self.window = (0, 0, width)
+
+    def read(self, x, y, width, height, out_width, out_height):
+        self.window = (x, y, width)
+        image = self.shown(x, y, width, height, out_width, out_height).view(_Window)
+        image.window = self.window
+        return image
+
+    def shown(self, x, y, width, height, out_width, out_height):
+        """Its pixels: black."""
+        return np.zeros((out_height, out_width, 3), np.uint8)
+
+    def window_of(self, image):
+        """x, y [px of the picture] and resampling factor of the window that `image` is, or was made of when it was the
+        last one read."""
+        x, y, width = getattr(image, "window", self.window)
+        return x, y, image.shape[1] / width
+
+
+class _Window(np.ndarray):
+    """The pixels of a window: several may be read before a detector sees the first."""
+
+
 class WithoutNetwork:
     """A detector of vehicles only, which is called with whole images."""
 
