@@ -1,13 +1,15 @@
-"""How often a frame is decoded: memory holds few of them, and decoding takes longer than looking."""
+"""How often a frame is decoded, and how many are in memory: it holds few, and decoding takes longer than looking."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
+import pytest
 from support.drawings import CARD
 
 from orthoscale.core.boxes import Boxes
@@ -51,6 +53,54 @@ def test_if_the_first_thread_fails_the_next_one_tries():
         results = [pool.submit(read, k) for k in range(4)]
     assert sorted(result.exception() is None for result in results) == [False, True, True, True]
     assert len(tries) == 2
+
+
+class Used:
+    """How many pictures were held at once, at most; `at_once` must be."""
+
+    def __init__(self, at_once):
+        self.lock, self.now, self.most = threading.Lock(), 0, 0
+        self.together = threading.Barrier(at_once, timeout=20)
+
+    def hold(self, memory, key, size):
+        with memory.holding(key, size, lambda: np.zeros(1, np.uint8)):
+            with self.lock:
+                self.now += 1
+                self.most = max(self.most, self.now)
+            self.together.wait()
+            time.sleep(0.05)
+            with self.lock:
+                self.now -= 1
+
+
+@pytest.mark.parametrize("size, at_once", [(1000, 3), (1600, 1), (3100, 1), (9000, 1)])
+def test_threads_hold_no_more_pictures_than_there_is_room_for(monkeypatch, size, at_once):
+    """Those larger than LARGE_SHARE one at a time."""
+    monkeypatch.setattr(picture_file, "USED_SHARE", 3100 / 2**30)
+    monkeypatch.setattr(picture_file, "LARGE_SHARE", 1500 / 2**30)
+    memory, used = Memory(), Used(at_once)
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(lambda k: used.hold(memory, k, size), range(6)))
+    assert used.most == at_once
+
+
+def test_a_picture_made_of_another_needs_no_room_of_its_own(monkeypatch):
+    """Else each of two threads would wait for the other to end."""
+    monkeypatch.setattr(picture_file, "USED_SHARE", 1000 / 2**30)
+    memory, used = Memory(), Used(1)
+
+    def warped():
+        used.hold(memory, "frame", 1000)
+        return np.ones(1, np.uint8)
+
+    def read(k):
+        with memory.holding(k, 1000, warped) as pixels:
+            return int(pixels[0])
+
+    with ThreadPoolExecutor(2) as pool:
+        ends = [pool.submit(read, k) for k in range(2)]
+        assert [end.result(timeout=10) for end in ends] == [1, 1]
+    assert used.most == 1
 
 
 def test_the_scale_search_decodes_each_frame_once_for_all_factors(tmp_path, monkeypatch):

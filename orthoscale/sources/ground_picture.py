@@ -135,9 +135,11 @@ def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shr
     assert picture.frame is not None, "asked before"
     with picture.frame.pixels(shrink) as (frame, factor):
         left, top, right, low = covering(x, y, width, height, factor)
-        starts = range(top, low, ROWS_AT_ONCE)
-        bands = [_band(picture, frame, factor, left, right, k, min(k + ROWS_AT_ONCE, low)) for k in starts]
-    return np.concatenate(bands), factor
+        warped = np.empty((low - top, right - left, 3), np.uint8)
+        for first in range(top, low, ROWS_AT_ONCE):
+            end = min(first + ROWS_AT_ONCE, low)
+            warped[first - top : end - top] = _band(picture, frame, factor, left, right, first, end)
+    return warped, factor
 
 
 def _band(

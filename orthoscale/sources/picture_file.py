@@ -21,9 +21,10 @@ from ..formats.reading import refuse_pointer
 from ..system import budget
 from .fingerprint import Stamp, changed, fingerprint
 
-# Shares of the memory budget: what small decoded pictures may take together; and from which size on a picture is large:
-# it is then decoded no finer than needed, one at a time, and kept alone.
-KEPT_SHARE, LARGE_SHARE = 1 / 8, 1 / 16
+# Shares of the memory budget: what decoded pictures that are kept may take together; what those may take that threads
+# use at once, where one that is made of another counts once; and from which size on a picture is large: it is then
+# decoded no finer than needed, and used alone.
+KEPT_SHARE, USED_SHARE, LARGE_SHARE = 1 / 8, 1 / 4, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 ORIENTATION, TIFF_LONG = 0x0112, 4  # TIFF's and EXIF's tag of how a picture is turned; TIFF's type of 32 bits
@@ -147,18 +148,36 @@ class Memory:
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, np.ndarray] = OrderedDict()
         self._lock = threading.RLock()
-        self._alone = threading.RLock()
         self._makers: WeakValueDictionary[Hashable, threading.RLock] = WeakValueDictionary()
+        self._room = threading.Condition()
+        self._used = 0.0  # [byte] taken by pictures in use
+        self._mine = threading.local()
 
     @contextmanager
     def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
-        """The picture of `key`, stored or made by `make` [`size` bytes]; while a large one is held no other large one
-        is made."""
-        if size <= LARGE_SHARE * budget.memory():
+        """The picture of `key`, stored or made by `make` [`size` bytes], which may hold another one. Waits until those
+        that other threads hold leave room for it."""
+        with self._room_for(size):
             yield self._get(key, size, make)
-        else:
-            with self._alone:
-                yield self._get(key, size, make)
+
+    @contextmanager
+    def _room_for(self, size: int) -> Iterator[None]:
+        if getattr(self._mine, "has_room", False):
+            yield
+            return
+        most = USED_SHARE * budget.memory()
+        taken = most if size > LARGE_SHARE * budget.memory() else min(size, most)
+        with self._room:
+            self._room.wait_for(lambda: self._used + taken <= most)
+            self._used += taken
+        self._mine.has_room = True
+        try:
+            yield
+        finally:
+            self._mine.has_room = False
+            with self._room:
+                self._used -= taken
+                self._room.notify_all()
 
     def _get(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> np.ndarray:
         with self._lock:
