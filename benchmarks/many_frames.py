@@ -1,10 +1,11 @@
 """Time and memory of `fix` by the number of frames: copies of a COLMAP model side by side as one model.
 
     python benchmarks/many_frames.py ../shared/data/reconstructions/sheffield --fleet US --copies 1 3 6 12
+    python benchmarks/many_frames.py ../shared/data/reconstructions/sheffield --fleet US --copies 1 --times 5
 
 Copies stand in a row along the longer axis of the ground, a tenth of their length apart; their pictures are links to
-the original ones. No cache is used. Prints Markdown: frames that were searched, seconds by the clock and of the
-processor, and the process's peak memory.
+the original ones, or enlarged by cubic splines, --times as wide and high. No cache is used. Prints Markdown: frames
+that were searched, seconds by the clock and of the processor, and the process's peak memory.
 """
 
 from __future__ import annotations
@@ -18,16 +19,24 @@ import tempfile
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 
 MEGABYTE = 1024  # [kB]
+QUALITY = 92  # of enlarged JPEGs
 
 
-def copied(model: Path, out: Path, copies: int) -> None:
-    """Write `copies` of the COLMAP model in `model`/sparse as one, with links to its pictures in `model`/images."""
+def copied(model: Path, out: Path, copies: int, times: int) -> None:
+    """Write `copies` of the COLMAP model in `model`/sparse as one, with links to its pictures in `model`/images, or
+    with these enlarged."""
     sparse = next(iter(sorted(path.parent for path in (model / "sparse").rglob("cameras.*"))))
     whole = pycolmap.Reconstruction(sparse)
+    for camera in whole.cameras.values():
+        camera.rescale(times * camera.width, times * camera.height)
+    for image in whole.images.values():
+        for point in image.points2D:
+            point.xy = times * point.xy
     points = np.array([point.xyz for point in whole.points3D.values()])
     # Along the ground: the first principal axis of the points, without stray ones.
     middle = np.median(points, axis=0)
@@ -62,7 +71,7 @@ def copied(model: Path, out: Path, copies: int) -> None:
             seen[matched, 2] = [str(int(point) + k * most_points) for point in seen[matched, 2]]
             rows["images"].append(" ".join(seen.ravel()))
             if not (link := out / "images" / f"{k}_{name}").exists():
-                link.symlink_to((model / "images" / name).resolve())
+                shown(model / "images" / name, link, times)
         for row in lines["points3D"]:
             number, x, y, z, *rest = row.split()
             place = (np.array([x, y, z], float) + moved).tolist()
@@ -75,6 +84,15 @@ def copied(model: Path, out: Path, copies: int) -> None:
     for name in ("rigs", "frames"):  # COLMAP makes one of each for every image by itself
         (text / f"{name}.txt").unlink(missing_ok=True)
     pycolmap.Reconstruction(text).write_binary(out / "sparse")
+
+
+def shown(picture: Path, at: Path, times: int) -> None:
+    """Make `at` a link to `picture`, or a copy `times` as wide and high."""
+    if times == 1:
+        at.symlink_to(picture.resolve())
+    else:
+        pixels = cv2.resize(cv2.imread(str(picture)), None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(at), pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
 
 
 def timed(model: Path, out: Path, fleet: str) -> dict[str, float]:
@@ -98,13 +116,14 @@ def main() -> None:
     parser.add_argument("model", type=Path)
     parser.add_argument("--fleet", default="world")
     parser.add_argument("--copies", type=int, nargs="+", default=[1, 3, 6, 12])
+    parser.add_argument("--times", type=int, default=1)
     asked = parser.parse_args()
-    print("| frames | sweep | s | processor s | peak memory [MB] |")
+    print("| frames | looked at | s | processor s | peak memory [MB] |")
     print("|---|---|---|---|---|")
     for copies in asked.copies:
         with tempfile.TemporaryDirectory() as folder:
             model, out = Path(folder) / "model", Path(folder) / "out"
-            copied(asked.model, model, copies)
+            copied(asked.model, model, copies, asked.times)
             took = timed(model, out, asked.fleet)
             swept = json.loads((out / "report.json").read_text())["sweep"]
             frames = len(list((model / "images").iterdir()))
