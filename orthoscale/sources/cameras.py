@@ -12,7 +12,7 @@ from ..errors import InputError, UsageError
 from ..formats.geometry.poses import SPLAT_CAMERAS, camera_centres, read_poses, splat_centres
 from ..formats.geometry.text_models import SUFFIXES, image_names, read_text_model
 from .colmap_check import open_model
-from .colmap_write import read_model
+from .colmap_read import images_of, read_model
 from .exchange_files import find_exchange
 
 # How far cameras of one model may stand from those of another that counts as the same, as a share of the extent of the
@@ -25,7 +25,7 @@ SCALED_MARK = "sim3.txt"  # a folder with this file holds a model in metres
 def cameras_of(folder: Path) -> dict[str, np.ndarray]:
     """(3,) centre of each camera of the COLMAP model in `folder`, by the name of its image. Raises InputError."""
     model = read_model(folder, open_model(folder).format)
-    return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
+    return {name: image.projection_center() for name, image in images_of(model).items()}
 
 
 def cameras_in(path: Path) -> dict[str, np.ndarray]:

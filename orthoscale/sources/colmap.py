@@ -27,7 +27,8 @@ from .cameras import SCALED_MARK, refuse_another
 from .colmap_beside import copy_beside
 from .colmap_check import open_model
 from .colmap_dense import dense_of
-from .colmap_write import read_model, write_scaled
+from .colmap_read import images_of, read_model
+from .colmap_write import write_scaled
 from .consistency import check_consistency, loose_images
 from .database import pose_priors
 from .dense_cloud import DenseCloud, sparse_points
@@ -288,8 +289,7 @@ class ColmapSource:
 
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
-        images = (self._model.image(i) for i in self._model.reg_image_ids())
-        return {image.name: image for image in images if image.name not in self._loose}
+        return {name: image for name, image in images_of(self._model).items() if name not in self._loose}
 
     @cached_property
     def _cameras(self) -> dict[str, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, OutputError
 from ..formats.geometry.sim3 import Sim3
 from .colmap_check import check_model
+from .colmap_read import read_model
 
 if TYPE_CHECKING:
     import pycolmap
@@ -17,36 +18,6 @@ if TYPE_CHECKING:
 POSITION = 1e-9  # how far rounding may move a point or a camera, as a share of the model's size
 REPROJECTION = 1e-9  # [px] how far rounding may move a projection in a model near its origin
 ROUNDINGS = 64  # rounding error from file to pixel, at most, in machine epsilons of the coordinates
-
-
-def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
-    """The model in `folder` of the format `form` ('bin' or 'txt'), whose files have been checked before.
-
-    Raises InputError for one that pycolmap cannot read or that has no registered image.
-    """
-    from .colmap_library import pycolmap
-
-    model = pycolmap.Reconstruction()
-    try:
-        model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
-    except Exception as error:  # whatever its C++ code and the bindings throw
-        raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
-    if not model.num_reg_images():
-        raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
-    # Other programs write quaternions with few digits; pycolmap normalises them when it scales, but not when it reads.
-    for frame in model.frames.values():
-        pose = frame.rig_from_world
-        frame.rig_from_world = pycolmap.Rigid3d(_unit(pose.rotation), pose.translation)
-    for rig in model.rigs.values():
-        for sensor, pose in rig.non_ref_sensors.items():
-            if pose is not None:
-                rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(_unit(pose.rotation), pose.translation))
-    return model
-
-
-def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
-    rotation.normalize()
-    return rotation
 
 
 def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder: Path, scale: float) -> None:

@@ -27,7 +27,7 @@ from ..formats.reading import absent
 from ..system.paths import homes
 from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
-from .colmap_write import read_model
+from .colmap_read import images_of, read_model
 
 if TYPE_CHECKING:
     import pycolmap
@@ -145,7 +145,7 @@ def _depth_maps(workspace: Path) -> list[Path]:
 def _undistorted(sparse: Path) -> tuple[pycolmap.Reconstruction, dict[str, pycolmap.Image]]:
     """The model in the folder `sparse`, and its registered images by name. Raises InputError."""
     model = read_model(sparse, open_model(sparse).format)
-    return model, {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    return model, images_of(model)
 
 
 def _image_of(path: Path, workspace: Path) -> str:

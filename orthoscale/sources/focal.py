@@ -17,6 +17,7 @@ import numpy as np
 
 from ..core.source import FocalDoubt
 from ..errors import InputError
+from .colmap_read import images_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -85,7 +86,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
 
 def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputError:
     """The `error` that no ground was found, or, if a focal length of `model` ran away, one that names it."""
-    cameras = [model.camera(model.image(number).camera_id) for number in model.reg_image_ids()]
+    cameras = [model.camera(image.camera_id) for image in images_of(model).values()]
     sides, longest = max((c.mean_focal_length() / max(c.width, c.height), c.camera_id) for c in cameras)
     if sides < LONGEST_LENS:
         return error
@@ -102,7 +103,7 @@ def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> li
     from .lens import lens_of
     from .tags import read_tags
 
-    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
+    cameras = {name: model.camera(image.camera_id) for name, image in images_of(model).items()}
     found = []
     for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
         try:

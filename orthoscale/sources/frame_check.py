@@ -20,6 +20,7 @@ import numpy as np
 
 from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..errors import InputError
+from .colmap_read import images_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class _ZoomFit:
 
 def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
     """Remarks on `pictures`, the frames of `model`, if they do not show its points, or show them elsewhere."""
-    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    images = images_of(model)
     chosen = _spread(pictures, FRAMES_COMPARED)
     fits = [fit for picture in chosen if (fit := _fitted(model, images[picture.name], picture)) is not None]
     if not fits:

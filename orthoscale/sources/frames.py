@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..formats.geometry.beside import file_in
 from ..formats.names import composed
 from ..system.paths import homes
+from .colmap_read import images_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -34,9 +35,8 @@ def find_frames(
 ) -> list[PictureFile]:
     """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; adds to
     `notes`. See `ColmapSource.open`."""
-    images_of_model = (model.image(number) for number in model.reg_image_ids())
-    registered = {image.name: image for image in images_of_model if image.name not in without}
-    place_of = dict(zip(sorted(registered), places_of(sorted(registered)), strict=True))
+    wanted = {name: image for name, image in images_of(model).items() if name not in without}
+    place_of = dict(zip(sorted(wanted), places_of(sorted(wanted)), strict=True))
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))
     except InputError as error:
@@ -46,13 +46,13 @@ def find_frames(
         notes.append(Remark(INFO, f"{error.message}; {so}"))
         return []
     if missing:
-        text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
+        text = f"{len(missing)} of {len(wanted)} frames are not in {root}, the first is {missing[0]}"
         notes.append(Remark(CAUTION, text))
     pictures = []
     lacking = set(missing)
     for name, place in place_of.items():
         if place not in lacking:
-            camera = model.camera(registered[name].camera_id)
+            camera = model.camera(wanted[name].camera_id)
             pictures.append(PictureFile(name, file_in(root, place) or root / place, camera.width, camera.height))
             pictures[-1].check_size()
     return pictures
