@@ -17,6 +17,7 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
+from ..core.evenly import evenly
 from ..core.normal import median_and_sd
 from ..core.progress import Progress
 from ..core.remarks import signed
@@ -155,10 +156,8 @@ def _notes(seen: _Seen) -> Iterator[str]:
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
     """Which boxes of each picture are measured: all, or `most` of them, evenly over pictures and scores."""
     order = [(name, k) for name, some in boxes.items() for k in np.argsort(-some.score, kind="stable").tolist()]
-    if len(order) > most:
-        order = [order[k] for k in np.linspace(0, len(order) - 1, most).astype(int)]
     chosen: dict[str, list[int]] = {}
-    for name, k in order:
+    for name, k in (order[n] for n in evenly(len(order), most)):
         chosen.setdefault(name, []).append(k)
     return {name: np.array(index) for name, index in chosen.items()}
 

@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.source import NO_DATA_GREY
 from ..detect.cache import RASTER_CODE, Kept, content_key
 from ..sources.satellite import Satellite
@@ -128,8 +129,7 @@ class MapFeatures:
         """What is usual on this map, from a sample of its tiles."""
         rows, columns = (range(0, side, FEATURE_TILE) for side in self.shape)
         tiles = [(r, c) for r in rows for c in columns]
-        chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), SAMPLED_TILES)).astype(int))
-        return Usual.of([self._tile(*tiles[k]) for k in chosen], self._channels)
+        return Usual.of([self._tile(*tiles[k]) for k in evenly(len(tiles), SAMPLED_TILES)], self._channels)
 
     def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
         """(K, height, width) unit vectors of a window [cells]; zero where it reaches beyond the map."""

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 import pyproj
 
+from ..core.evenly import evenly
 from ..errors import TooLittleEvidence, UsageError
 from ..sources.satellite import Satellite
 from .correlate import Peak, Template, search
@@ -279,8 +280,7 @@ def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int
 
     Only some of the `ways` are used; no two places are nearer than `apart` [cells]. Repeated structures, such as rows
     of houses or bays, agree in part with a mirror image too."""
-    some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
-    templates = [ways[k].template.mirrored(mapped) for k in some]
+    templates = [ways[k].template.mirrored(mapped) for k in evenly(len(ways), MIRRORED_WAYS)]
     found = search(templates, mapped.window, area, apart, NEGATIVES)
     return [verified(templates[peak.template], peak, mapped) for peak in found]
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.source import FocalDoubt
 from ..errors import InputError
 from .colmap_read import images_of
@@ -197,7 +198,7 @@ class _Block:
         if not numbers:
             return None
         rank = {number: k for k, number in enumerate(numbers)}
-        numbers = _some_of(numbers, MOST_IMAGES)
+        numbers = [numbers[k] for k in evenly(len(numbers), MOST_IMAGES)]
         tracks = list(islice(_in_sight(model, numbers) if by_sight else _tracked(model, numbers, rank), MOST_TRACKS))
         tracks, numbers = _held(tracks, numbers)
         if len(tracks) < LEAST_TRACKS:
@@ -258,8 +259,8 @@ def _tracked(model: pycolmap.Reconstruction, numbers: list[int], rank: Mapping[i
 
 def _in_sight(model: pycolmap.Reconstruction, numbers: list[int]) -> Iterator[_Track]:
     """The same of points that three or more of the images have in sight, distortion aside."""
-    some = _some_of(sorted(model.point3D_ids()), MOST_TRACKS)
-    points = np.array([model.point3D(number).xyz for number in some]).reshape(-1, 3)
+    every = sorted(model.point3D_ids())
+    points = np.array([model.point3D(every[k]).xyz for k in evenly(len(every), MOST_TRACKS)]).reshape(-1, 3)
     seen = np.zeros((len(points), len(numbers)), bool)
     for k, number in enumerate(numbers):
         image = model.image(number)
@@ -279,11 +280,6 @@ def _held(tracks: list[_Track], numbers: list[int]) -> tuple[list[_Track], list[
     new = np.cumsum(held) - 1
     left = [(xyz, new[where[held[where]]], error) for xyz, where, error in tracks]
     return [each for each in left if len(each[1]) >= 3], [n for n, ok in zip(numbers, held, strict=True) if ok]
-
-
-def _some_of(numbers: list[int], most: int) -> list[int]:
-    """Some of the numbers, `most` at most, evenly chosen."""
-    return [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, most).astype(int))] if numbers else []
 
 
 def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:
