@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.normal import ROBUST_SD, median_and_sd, median_sd
 from .following import followed, ridge_across, three_back
 from .peaks import peak_shift
@@ -69,7 +69,7 @@ class Block:
     @property
     def across(self) -> np.ndarray:
         """(2,) unit vector across the lines."""
-        return np.array([-np.sin(self.heading), np.cos(self.heading)])
+        return quarter_turn(unit_vector(self.heading))
 
     @property
     def number(self) -> np.ndarray:
@@ -117,7 +117,7 @@ def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, .
     half = np.linalg.norm(blocks[0].place - blocks[1].place) / 2
     pieces = []
     for block in blocks:
-        along = half * np.array([np.cos(block.heading), np.sin(block.heading)])
+        along = half * unit_vector(block.heading)
         pieces.append(np.stack([block.lines() - along, block.lines() + along], 1))
     lines = np.concatenate(pieces)
     return Anchor(
@@ -159,7 +159,7 @@ def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
     if len(seeds.angle) < comb.fewest:
         return np.zeros((0, 3))
     reach = max(comb.fewest * comb.high, SEED_PX)
-    by_turn = reach / (2 * LINES_PARALLEL) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
+    by_turn = reach / (2 * LINES_PARALLEL) * unit_vector(2 * seeds.angle)
     near = cKDTree(np.hstack([seeds.middle, by_turn])).query_pairs(reach, output_type="ndarray")
     gap = seeds.middle[near[:, 1]] - seeds.middle[near[:, 0]]
     angle = seeds.angle[near[:, 0]]
@@ -199,10 +199,11 @@ def _block(
 ) -> Block | None:
     """The lines in a cross section of the comb at `place` [px], whose pitch lies `between` two values [px] and whose
     ridges exceed `least` [grey levels]; None if they are too few."""
-    unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    along = unit_vector(angle)
+    across = quarter_turn(along)
     fine = np.arange(-comb.across, comb.across, 0.25)
     t = np.linspace(-0.5, 0.5, max(6, int(comb.block))) * comb.block
-    grid = place + t[:, None, None] * unit + fine[:, None] * across
+    grid = place + t[:, None, None] * along + fine[:, None] * across
     inside = ((grid >= 0) & (grid <= np.array(light.shape[::-1]) - 1)).all(-1).all(0)
     response = ridge_across(values(light, grid).mean(0), 0.25, float(np.clip(comb.line / 2, *LINE_SD_PX)))
     left, middle, right = response[:-2], response[1:-1], response[2:]

@@ -7,6 +7,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from ..core.angles import unit_vector
+
 BLOCKS_MISSING = 2  # most in succession
 
 
@@ -42,7 +44,7 @@ def followed(
         got, place, missing = [first], first.place, 0
         while missing <= BLOCKS_MISSING and len(got) < most:
             heading = got[-1].heading
-            place = place + way * step * np.array([np.cos(heading), np.sin(heading)])
+            place = place + way * step * unit_vector(heading)
             if not (0 <= place[0] < width and 0 <= place[1] < height):
                 break
             block = further(place, got, way)

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..core.angles import unit_vector
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
@@ -158,7 +159,7 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     for (x, y), colour in zip(pixels[shown].astype(int).tolist(), colours[shown].tolist(), strict=True):
         cv2.circle(image, (x, y), dot, colour, -1)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    ring = np.stack([np.cos(turn), np.sin(turn)], -1)
+    ring = unit_vector(turn)
     outlines = [
         Outline(centre + max(SMALLEST_MARK, v["length"] / 2 * zoom) * ring, v["used"], _label(v))
         for centre, v in zip(to_px(vehicles), report["vehicles"], strict=True)
