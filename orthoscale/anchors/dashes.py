@@ -10,7 +10,7 @@ import numpy as np
 from ..core.anchors import Anchor, Standard, holding
 from .chains import Chain, find_chains, levels
 from .repeated import anchor_of
-from .rules import ruled, sizes, within_reach
+from .rules import ruled, shares_by_country, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # relative 1 sigma of a line's mean period about its rule: 68 of 81 American lines are within 1.2 %
@@ -121,12 +121,11 @@ class LaneDashes:
 
 def split_by_country(standards: Sequence[Standard]) -> list[Standard]:
     """Each of `standards` once for each country that it names; its prior is its share among that country's rules."""
-    out = []
-    for country in dict.fromkeys(code for standard in standards for code in standard.countries):
-        own = holding(standards, country)
-        total = sum(standard.prior for standard in own)
-        out += [replace(standard, countries=(country,), prior=standard.prior / total) for standard in own]
-    return out
+    return [
+        replace(standard, countries=(country,), prior=share)
+        for country, shares in shares_by_country(standards).items()
+        for standard, share in shares.items()
+    ]
 
 
 def _unlike(standards: Sequence[Standard], meant: Sequence[Standard]) -> tuple[str, ...]:
