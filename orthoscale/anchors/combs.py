@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ..core.anchors import Anchor, Standard
 from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.normal import ROBUST_SD, median_and_sd, median_sd
-from .following import followed, ridge_across, three_back
+from .following import SECTION_STEP, followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
 from .repeated import LOCAL_STRETCH
@@ -201,18 +201,18 @@ def _block(
     ridges exceed `least` [grey levels]; None if they are too few."""
     along = unit_vector(angle)
     across = quarter_turn(along)
-    fine = np.arange(-comb.across, comb.across, 0.25)
+    fine = np.arange(-comb.across, comb.across, SECTION_STEP)
     t = np.linspace(-0.5, 0.5, max(6, int(comb.block))) * comb.block
     grid = place + t[:, None, None] * along + fine[:, None] * across
     inside = ((grid >= 0) & (grid <= np.array(light.shape[::-1]) - 1)).all(-1).all(0)
-    response = ridge_across(values(light, grid).mean(0), 0.25, float(np.clip(comb.line / 2, *LINE_SD_PX)))
+    response = ridge_across(values(light, grid).mean(0), float(np.clip(comb.line / 2, *LINE_SD_PX)))
     left, middle, right = response[:-2], response[1:-1], response[2:]
     peak = np.flatnonzero((middle > left) & (middle >= right) & (middle > least) & inside[1:-1])
     if len(peak) < comb.fewest:
         return None
     clear = max(LINE_CLEAR * float(np.sort(middle[peak])[-comb.fewest]), least)
     peak = peak[middle[peak] > clear]
-    offset = fine[peak + 1] + 0.25 * peak_shift(left[peak], middle[peak], right[peak])
+    offset = fine[peak + 1] + SECTION_STEP * peak_shift(left[peak], middle[peak], right[peak])
     row = find_row(offset, *between, comb.fewest)
     if row is None or row.filled < COMB_FILLED or len(row.number) > comb.most or row.regularity < COMB_REGULAR:
         return None

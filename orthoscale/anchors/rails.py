@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ..core.anchors import Anchor, Standard, holding
 from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.normal import median_sd, robust_sd
-from .following import followed, ridge_across, three_back
+from .following import SECTION_STEP, followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, ridge_noise, segments, steered
@@ -258,12 +258,12 @@ def _block(
     along = unit_vector(angle)
     across = quarter_turn(along)
     sd = max(RAIL_SD / gsd, RAIL_SD_PX)
-    reach = np.ceil(FARTHEST_BESIDE * apart * 4)
-    offset = np.arange(-reach, reach + 1) / 4
+    reach = np.ceil(FARTHEST_BESIDE * apart / SECTION_STEP)
+    offset = np.arange(-reach, reach + 1) * SECTION_STEP
     t = np.linspace(-0.5, 0.5, max(8, int(length))) * length
     grid = place + t[:, None, None] * along + offset[:, None] * across
     profile = values(light, grid).mean(0)
-    response = ridge_across(profile, 0.25, sd)
+    response = ridge_across(profile, sd)
     rail = []
     for side in (-1, 1):
         about = np.abs(offset - side * apart / 2) <= RAIL_WINDOW * apart
@@ -271,7 +271,7 @@ def _block(
         if not (0 < k < len(offset) - 1) or response[k] < max(response[k - 1], response[k + 1]):
             return None
         left, middle, right = response[k - 1 : k + 2]
-        rail.append((offset[k] + 0.25 * float(peak_shift(left, middle, right)), middle))
+        rail.append((offset[k] + SECTION_STEP * float(peak_shift(left, middle, right)), middle))
     (a, one), (b, other) = rail
     away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
     close = np.abs(offset) < CLOSE_BESIDE * apart
