@@ -146,12 +146,6 @@ def pitch(blocks: Sequence[Block]) -> float:
     return float(np.median(_pitches(blocks)))
 
 
-def _scatter(period: np.ndarray) -> float:
-    """Relative one sigma of the blocks' periods, robust."""
-    median, sd = median_and_sd(period)
-    return float(sd / median)
-
-
 def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
     """(N, 3) place [px] and direction [rad] of pieces of lines with parallel ones beside them, those with most
     first."""
@@ -246,7 +240,8 @@ def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> li
 
 def _is_painted(image: np.ndarray, blocks: Sequence[Block], comb: Comb) -> bool:
     """Whether the lines keep their pitch and are brighter than the ground, which is uniform along them."""
-    if _scatter(np.array([block.row.period for block in blocks])) > COMB_UNEVEN:
+    period, scatter = median_and_sd(np.array([block.row.period for block in blocks]))
+    if scatter / period > COMB_UNEVEN:
         return False
     paint = np.array([np.median(values(image, block.lines()), axis=0) for block in blocks])
     ground = np.array([np.median(values(image, block.lines(0.5)[:-1]), axis=0) for block in blocks])

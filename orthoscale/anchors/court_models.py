@@ -146,12 +146,12 @@ class Court:
         return np.concatenate(lines)
 
 
-def _along(y: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
-    return Stroke((start, y), (end, y), 0.0, weight, ends)
+def _along(y: float, start: float, end: float, ends: tuple[bool, bool] = (True, True)) -> Stroke:
+    return Stroke((start, y), (end, y), ends=ends)
 
 
 def _across(x: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
-    return Stroke((x, start), (x, end), 0.0, weight, ends)
+    return Stroke((x, start), (x, end), weight=weight, ends=ends)
 
 
 def _arc(x: float, y: float, radius: float, start: float, end: float, weight: float = 0.5) -> Stroke:

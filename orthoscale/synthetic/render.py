@@ -305,11 +305,6 @@ class Look:
         return ((x + grain) * 255 + 0.5).clip(0, 255).astype(np.uint8)
 
 
-def _shrunk(picture: np.ndarray, factor: int) -> np.ndarray:
-    size = picture.shape[1] // factor, picture.shape[0] // factor
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-
-
 def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) -> tuple[np.ndarray, np.ndarray]:
     """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel sees (H, W) int, -1 for none. As a pixel has no
     sample at its centre, the one to the right and below it counts."""
@@ -317,7 +312,8 @@ def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) ->
     look = Look.drawn(rng) if look is None else look
     ideal = view.ideal()
     linear, owner = light(scene, ideal.enlarged(SUPERSAMPLING))
-    linear, owner = _shrunk(linear, SUPERSAMPLING), owner[1::SUPERSAMPLING, 1::SUPERSAMPLING]
+    linear = cv2.resize(linear, (ideal.width, ideal.height), interpolation=cv2.INTER_AREA)
+    owner = owner[1::SUPERSAMPLING, 1::SUPERSAMPLING]
     if isinstance(view, Perspective) and ideal is not view:
         y, x = np.indices((view.height, view.width)) + 0.5
         place = view.undistorted(np.stack([x, y], -1)) * view.camera.focal_px
