@@ -69,7 +69,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
         f"the frames {known}, as is usual for flat ground, above all "
         "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     )
-    if told is None:
+    if not told:
         return FocalDoubt(1.0, sd, what)
     log_ratio = np.log([lens.focal_px / has for _, lens, has in told])
     by_lens = max(float(np.median([lens.sd for _, lens, _ in told])), float(np.std(log_ratio)))
@@ -99,8 +99,8 @@ def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputEr
     )
 
 
-def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
-    """Name, lens, and the model's focal length [px] of some frames whose tags describe their lens; None without any."""
+def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]]:
+    """Name, lens, and the model's focal length [px] of some frames whose tags describe their lens."""
     from .lens import lens_of
     from .tags import read_tags
 
@@ -111,20 +111,22 @@ def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> li
             found.append((picture.name, lens_of(read_tags(picture.path)), cameras[picture.name].mean_focal_length()))
         except InputError:  # without a lens in its tags, or damaged, which its reader will report
             continue
-    return found or None
+    return found
 
 
-def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
-    """A note if most tags give focal lengths far from the model's."""
+def _far(
+    told: list[tuple[str, Lens, float]],
+    so: str = ": flat scenes leave it open; heights are then off by as much, the scale hardly",
+) -> str:
+    """A note if most tags give focal lengths far from the model's. so : what follows from that."""
     far = [
         (abs(has / lens.focal_px - 1), name, lens, has)
-        for name, lens, has in told or []
+        for name, lens, has in told
         if abs(has / lens.focal_px - 1) > max(FOCAL_FAR, 2 * lens.sd)
     ]
-    if 2 * len(far) <= len(told or []):
+    if 2 * len(far) <= len(told):
         return ""
     _, name, lens, has = max(far, key=lambda each: each[0])
-    so = so or ": flat scenes leave it open; heights are then off by as much, the scale hardly"
     return (
         f"{name} has a focal length of {lens.focal_px:.0f} px ({lens.source}), the model {has:.0f} px "
         f"({100 * (has / lens.focal_px - 1):+.0f} %){so}"
