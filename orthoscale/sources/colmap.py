@@ -92,8 +92,9 @@ class ColmapSource:
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         loose = loose_images(model, files.seen)
-        notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen, loose)]
-        pictures = find_frames(model, files.folder, images, need_images, notes, loose)
+        consistency = check_consistency(files.folder, model, files.seen, loose)
+        pictures, missing = find_frames(model, files.folder, images, need_images, loose)
+        notes = [*informing(files.notes), *consistency, *missing]
         parts = tuple(tuple(name for name in part if name not in loose) for part in files.parts)
         parts = tuple(part for part in parts if len(part) > 1)
         if len(parts) > 1:

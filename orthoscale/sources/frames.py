@@ -30,11 +30,10 @@ def find_frames(
     folder: Path,
     images: Path | str | None,
     need_images: bool,
-    notes: list[Remark],
-    without: Collection[str] = (),
-) -> list[PictureFile]:
-    """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; adds to
-    `notes`. See `ColmapSource.open`."""
+    without: Collection[str],
+) -> tuple[list[PictureFile], list[Remark]]:
+    """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; and remarks
+    on those that are not. See `ColmapSource.open`."""
     wanted = {name: image for name, image in images_of(model).items() if name not in without}
     place_of = dict(zip(sorted(wanted), places_of(sorted(wanted)), strict=True))
     try:
@@ -43,11 +42,7 @@ def find_frames(
         if need_images or images is not None:
             raise
         so = "without frames no anchors are searched for, and the report has no close-ups of vehicles"
-        notes.append(Remark(INFO, f"{error.message}; {so}"))
-        return []
-    if missing:
-        text = f"{len(missing)} of {len(wanted)} frames are not in {root}, the first is {missing[0]}"
-        notes.append(Remark(CAUTION, text))
+        return [], [Remark(INFO, f"{error.message}; {so}")]
     pictures = []
     lacking = set(missing)
     for name, place in place_of.items():
@@ -55,7 +50,10 @@ def find_frames(
             camera = model.camera(wanted[name].camera_id)
             pictures.append(PictureFile(name, file_in(root, place) or root / place, camera.width, camera.height))
             pictures[-1].check_size()
-    return pictures
+    if not missing:
+        return pictures, []
+    text = f"{len(missing)} of {len(wanted)} frames are not in {root}, the first is {missing[0]}"
+    return pictures, [Remark(CAUTION, text)]
 
 
 def places_of(names: Sequence[str]) -> list[str]:

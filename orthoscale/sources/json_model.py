@@ -66,8 +66,9 @@ class ExchangeSource(OneFileSource):
         model, others, said, tracks = _read(path)
         seen = _seen(path, model, tracks)
         loose = loose_images(model, seen)
-        notes = [*informing(said), *check_consistency(path, model, seen, loose)]
-        pictures = find_frames(model, path.parent, images, need_images, notes, loose)
+        consistency = check_consistency(path, model, seen, loose)
+        pictures, missing = find_frames(model, path.parent, images, need_images, loose)
+        notes = [*informing(said), *consistency, *missing]
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))
         found = path.parent, "json", pictures, notes, (path, *others), model

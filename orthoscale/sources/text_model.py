@@ -51,7 +51,8 @@ class TextSource(OneFileSource):
         seen = _observations(text, names, model)
         loose = loose_images(model, seen)
         notes += check_consistency(path, model, seen, loose)
-        pictures = find_frames(model, path.parent, root, need_images, notes, loose)
+        pictures, remarks = find_frames(model, path.parent, root, need_images, loose)
+        notes += remarks
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
         return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
 
