@@ -18,7 +18,6 @@ from .exchange_files import find_exchange
 # How far cameras of one model may stand from those of another that counts as the same, as a share of the extent of the
 # cameras, or of the cameras and the origin. A model that was adjusted once more stays within it, another does not.
 ANOTHER_MODEL = 0.02
-MODELS = (".json", *SUFFIXES)  # endings of other programs' models
 SCALED_MARK = "sim3.txt"  # a folder with this file holds a model in metres
 
 
