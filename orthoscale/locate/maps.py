@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 
 import cv2
 import numpy as np
@@ -133,22 +134,17 @@ class MapFeatures:
 
     def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
         """(K, height, width) unit vectors of a window [cells]; zero where it reaches beyond the map."""
-        first = None
-        for r in range(max(row, 0) // FEATURE_TILE * FEATURE_TILE, min(row + height, self.shape[0]), FEATURE_TILE):
-            for c in range(
-                max(column, 0) // FEATURE_TILE * FEATURE_TILE, min(column + width, self.shape[1]), FEATURE_TILE
-            ):
-                tile = self._tile(r, c)
-                if first is None:
-                    first = np.zeros((tile.shape[0], height, width), np.float32)
-                top, left = max(r, row), max(c, column)
-                low, right = min(r + tile.shape[1], row + height), min(c + tile.shape[2], column + width)
-                first[:, top - row : low - row, left - column : right - column] = tile[
-                    :, top - r : low - r, left - c : right - c
-                ]
-        if first is None:
-            return np.zeros((len(self.usual.basis), height, width), np.float32)
-        return self.usual.of_features(first)
+        found = np.zeros((len(self.usual.mean), height, width), np.float32)
+        tops, lefts = (
+            range(max(start, 0) // FEATURE_TILE * FEATURE_TILE, min(start + side, whole), FEATURE_TILE)
+            for start, side, whole in zip((row, column), (height, width), self.shape, strict=True)
+        )
+        for r, c in product(tops, lefts):
+            top, left = max(r, row), max(c, column)
+            low, right = min(r + FEATURE_TILE, row + height), min(c + FEATURE_TILE, column + width)
+            part = self._tile(r, c)[:, top - r : low - r, left - c : right - c]
+            found[:, top - row : low - row, left - column : right - column] = part
+        return self.usual.of_features(found)
 
     def finer(self, finest: float) -> MapFeatures:
         """Features of the same map on the grid not finer than `finest` [m/px], with the `usual` of this one."""
