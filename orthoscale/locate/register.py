@@ -122,8 +122,8 @@ class Registration:
         best = self.candidates[0].inliers
         if best < self.needed:
             return f"best candidate has {best} matches, {self.needed} needed"
-        if self.candidates[0].squares < LEAST_SQUARES:
-            squares = self.candidates[0].squares
+        squares = self.candidates[0].squares
+        if squares < LEAST_SQUARES:
             where = f"{squares} squares of the picture only, {LEAST_SQUARES} needed"
             return f"the {best} matches of the best candidate lie in {where}"
         if self.rival is not None:
@@ -306,10 +306,9 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Query, mapped: Ma
     if not candidates:
         return Registration((), enough, None, float("inf"))
     best = candidates[0]
-    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
     if best.inliers < enough or best.squares < LEAST_SQUARES:
         return Registration(tuple(candidates), enough, None, float("inf"))
-    rival = rivals[0] if rivals else None
+    rival = next((k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers), None)
     best, sd = refined(best, seen, mapped)
     return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
 
