@@ -77,7 +77,7 @@ def search(
     parts = [_KindSearch(one, gsd_sd, country, effort, most_pixels, enough) for one in sought]
     with ExitStack() as open_things:
         for part in parts:
-            part.cache = open_things.enter_context(AnchorCache(key)) if effort.cache and (key := part.key()) else None
+            part.cache = open_things.enter_context(AnchorCache(part.key() if effort.cache else None))
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
             batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only that way
@@ -120,7 +120,7 @@ class _KindSearch:
             order = np.random.default_rng(effort.seed).permutation(len(windows)).tolist()
         self.jobs = [windows[k] for k in order]
         self.looks: dict[int, list[Anchor]] = {}
-        self.cache: AnchorCache | None = None
+        self.cache = AnchorCache(None)
 
     @property
     def done(self) -> bool:
@@ -145,7 +145,7 @@ class _KindSearch:
 
     def recalled(self, number: int) -> bool:
         """Take the result for window `number` from an earlier run's cache; whether there is one."""
-        found = self.cache.get(*self.jobs[number]) if self.cache else None
+        found = self.cache.get(*self.jobs[number])
         if found is not None:
             self.looks[number] = found
         return found is not None
@@ -158,8 +158,7 @@ class _KindSearch:
     def put(self, number: int, found: list[Anchor]) -> None:
         """Keep the anchors `found` in window `number`."""
         self.looks[number] = found
-        if self.cache:
-            self.cache.put(*self.jobs[number], found)
+        self.cache.put(*self.jobs[number], found)
 
     def found(self) -> list[Anchor]:
         """All anchors found so far, each once per picture."""

@@ -8,7 +8,6 @@ scores. They show by how much the detector's boxes of this scene are too large, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -105,8 +104,7 @@ def _measured(
     look = partial(measurer, enlarged=enlarged, contrast=contrast)
     settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "contrast": contrast}
     key = content_key([pictures[name] for name in index], settings) if effort.cache else None
-    with ExitStack() as open_things:
-        kept = open_things.enter_context(Kept(key)) if key else None
+    with Kept(key) as kept:
         raw = _looked_at(pictures, proposed, look, effort.threads, kept, progress)
     outlined, soft = _moved_out(raw, measurer.card, float(enlarged))
     told, too_large = _without_shadows(outlined, float(enlarged))
@@ -167,7 +165,7 @@ def _looked_at(
     proposed: Mapping[str, Boxes],
     look: Callable[[Picture, Boxes], Measured],
     workers: int,
-    kept: Kept | None,
+    kept: Kept,
     progress: Progress | None,
 ) -> dict[str, Measured]:
     """Results of `look` for the `proposed` boxes of each picture; those that the cache `kept` has are not computed
@@ -183,8 +181,7 @@ def _looked_at(
         for done, ((name, index), told) in enumerate(zip(jobs, looks, strict=True), 1):
             for k, row in zip(index, told.rows, strict=True):
                 rows[name][k] = row
-                if kept is not None:
-                    kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
+                kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
             if progress:
                 progress("Measuring vehicles", done, len(jobs))
     return {name: Measured.of_rows(np.array(rows[name]), boxes.score) for name, boxes in proposed.items()}
@@ -224,8 +221,8 @@ def _row_name(picture: Picture, box: np.ndarray) -> str:
     return f"{as_text(picture)}:{','.join(map(repr, box.tolist()))}"
 
 
-def _kept(kept: Kept | None, picture: Picture, box: np.ndarray) -> np.ndarray | None:
-    content = None if kept is None else kept.content(_row_name(picture, box))
+def _kept(kept: Kept, picture: Picture, box: np.ndarray) -> np.ndarray | None:
+    content = kept.content(_row_name(picture, box))
     return None if content is None else np.frombuffer(content, "<f8")
 
 

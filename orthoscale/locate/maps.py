@@ -113,11 +113,11 @@ class MapFeatures:
     """The dense features of a map on a `MapGrid`, made when needed and kept in the user's cache."""
 
     def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
-        self.grid, self.features = grid, features
+        self.grid, self.features, self._cache = grid, features, cache
         self._tile = lru_cache(IN_MEMORY)(self._made_tile)
         self._channels = channels
         key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, FEATURE_CODE)
-        self._kept = Kept(key) if cache and key is not None else None
+        self._kept = Kept(key if cache else None)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -149,15 +149,14 @@ class MapFeatures:
     def finer(self, finest: float) -> MapFeatures:
         """Features of the same map on the grid not finer than `finest` [m/px], with the `usual` of this one."""
         grid = MapGrid.of(self.grid.satellite, finest)
-        fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
+        fine = MapFeatures(grid, self.features, self._channels, self._cache)
         fine.usual = self.usual
         return fine
 
     def _made_tile(self, row: int, column: int) -> np.ndarray:
         """(C, FEATURE_TILE, FEATURE_TILE) features of one tile, in half precision as they are kept."""
         name = f"{row},{column}"
-        content = self._kept.content(name) if self._kept is not None else None
-        if content is not None:
+        if (content := self._kept.content(name)) is not None:
             return np.frombuffer(content, np.float16).reshape(-1, FEATURE_TILE, FEATURE_TILE)
         stride = self.features.stride
         edge = -(-self.features.border // stride)
@@ -165,6 +164,5 @@ class MapFeatures:
         pixels, valid = self.grid.read((column - edge) * stride, (row - edge) * stride, side, side)
         inner = slice(edge, edge + FEATURE_TILE)
         made = self.features.of(pixels, valid)[:, inner, inner].astype(np.float16)
-        if self._kept is not None:
-            self._kept.keep(name, made.tobytes())
+        self._kept.keep(name, made.tobytes())
         return made
