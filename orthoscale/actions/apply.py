@@ -11,7 +11,7 @@ from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.mark import refuse_marked
 from ..formats.geometry.sim3 import Sim3
 from ..formats.geometry.vertices import WITH_VERTICES
-from ..sources.cameras import metric_cameras
+from ..sources.cameras import metric_centres
 from ..sources.dense_cloud import off_metric_model
 from ..sources.exchange_files import MODEL_SUFFIXES
 from ..sources.scaling import points_in_metres, scale_path
@@ -42,7 +42,7 @@ def apply(
         folder = outputs.folder(out, metres=True)
         scale = Sim3.load(sim3).scale
         with_models = any(path.is_dir() or path.suffix.lower() in MODEL_SUFFIXES for path in given)
-        metric = metric_cameras(sim3.parent) if with_models else {}
+        metric = metric_centres(sim3.parent) if with_models else {}
         for path, name in zip(given, names, strict=True):
             if written_in_metres(path):
                 refuse_marked(path)

@@ -21,13 +21,13 @@ ANOTHER_MODEL = 0.02
 SCALED_MARK = "sim3.txt"  # a folder with this file holds a model in metres
 
 
-def cameras_of(folder: Path) -> dict[str, np.ndarray]:
+def centres_of(folder: Path) -> dict[str, np.ndarray]:
     """(3,) centre of each camera of the COLMAP model in `folder`, by the name of its image. Raises InputError."""
     model = read_model(folder, open_model(folder).format)
     return {name: image.projection_center() for name, image in images_of(model).items()}
 
 
-def cameras_in(path: Path) -> dict[str, np.ndarray]:
+def centres_in(path: Path) -> dict[str, np.ndarray]:
     """The same for another program's model in the file `path`; empty for other files, and if image names are missing.
     Raises InputError for a damaged model."""
     if path.name == SPLAT_CAMERAS:
@@ -46,14 +46,14 @@ def cameras_in(path: Path) -> dict[str, np.ndarray]:
     return {name: centre for name, centre, known in zip(names, centres, there, strict=True) if known}
 
 
-def metric_cameras(folder: Path) -> dict[str, np.ndarray]:
+def metric_centres(folder: Path) -> dict[str, np.ndarray]:
     """Camera centres [m] of the scaled model in `folder`, of any format; empty if there is none. Raises InputError."""
     if not (folder / SCALED_MARK).is_file():
         return {}
     if any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
-        return cameras_of(folder)
+        return centres_of(folder)
     other = find_exchange(folder)
-    return {} if other is None else cameras_in(other)
+    return {} if other is None else centres_in(other)
 
 
 def refuse_another(

@@ -128,7 +128,7 @@ class ColmapSource:
     @property
     def points_and_cameras(self) -> tuple[np.ndarray, np.ndarray]:
         """(M, 3) points that several images see, and (C, 3) camera centres [model units]."""
-        return sparse_points(self._model), np.array(list(self._cameras.values()))
+        return sparse_points(self._model), np.array(list(self.centres.values()))
 
     @cached_property
     def parts(self) -> list[ColmapSource]:
@@ -156,7 +156,7 @@ class ColmapSource:
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
-        centres = np.array(list(self._cameras.values()))
+        centres = np.array(list(self.centres.values()))
         try:
             sparse = Ground.fit(points, centres)
         except InputError as error:
@@ -253,7 +253,7 @@ class ColmapSource:
 
     @cached_property
     def _from_origin(self) -> FromOrigin:
-        return FromOrigin.of(np.array(list(self._cameras.values())))
+        return FromOrigin.of(np.array(list(self.centres.values())))
 
     @cached_property
     def _georeferenced(self) -> str:
@@ -293,7 +293,7 @@ class ColmapSource:
         return {name: image for name, image in images_of(self._model).items() if name not in self._loose}
 
     @cached_property
-    def _cameras(self) -> dict[str, np.ndarray]:
+    def centres(self) -> dict[str, np.ndarray]:
         """(3,) centre of each camera [model units, world], by the name of its image."""
         return {name: self.centre(name) for name in self.picture_names}
 
@@ -386,7 +386,7 @@ class ColmapSource:
     @cached_property
     def dense(self) -> Path:
         """The dense workspace that belongs to this model. Raises what `dense_of` raises."""
-        found, remarks = dense_of(self.folder, self._cameras, lambda: self.camera_height)
+        found, remarks = dense_of(self.folder, self.centres, lambda: self.camera_height)
         self.notes.extend(remarks)
         return found
 
@@ -412,7 +412,7 @@ def scale_model(
     model = ColmapSource.open(source, need_images=False)
     if model.by_orthoscale:
         raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
-    refuse_another(source, model._cameras, metric, scale)
+    refuse_another(source, model.centres, metric, scale)
     model.write(target, scale)
 
 
