@@ -45,3 +45,8 @@ def images_of(model: pycolmap.Reconstruction) -> dict[str, pycolmap.Image]:
     """The registered images of `model` by name."""
     images = (model.image(number) for number in model.reg_image_ids())
     return {image.name: image for image in images}
+
+
+def cameras_of(model: pycolmap.Reconstruction) -> dict[str, pycolmap.Camera]:
+    """The camera of each registered image of `model`, by the image's name."""
+    return {name: model.camera(image.camera_id) for name, image in images_of(model).items()}

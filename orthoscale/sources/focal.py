@@ -18,7 +18,7 @@ import numpy as np
 from ..core.evenly import evenly
 from ..core.source import FocalDoubt
 from ..errors import InputError
-from .colmap_read import images_of
+from .colmap_read import cameras_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -87,7 +87,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
 
 def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputError:
     """The `error` that no ground was found, or, if a focal length of `model` ran away, one that names it."""
-    cameras = [model.camera(image.camera_id) for image in images_of(model).values()]
+    cameras = cameras_of(model).values()
     sides, longest = max((c.mean_focal_length() / max(c.width, c.height), c.camera_id) for c in cameras)
     if sides < LONGEST_LENS:
         return error
@@ -104,7 +104,7 @@ def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> li
     from .lens import lens_of
     from .tags import read_tags
 
-    cameras = {name: model.camera(image.camera_id) for name, image in images_of(model).items()}
+    cameras = cameras_of(model)
     found = []
     for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
         try:

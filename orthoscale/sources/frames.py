@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..formats.geometry.beside import file_in
 from ..formats.names import composed
 from ..system.paths import homes
-from .colmap_read import images_of
+from .colmap_read import cameras_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ def find_frames(
 ) -> tuple[list[PictureFile], list[Remark]]:
     """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; and remarks
     on those that are not. See `ColmapSource.open`."""
-    wanted = {name: image for name, image in images_of(model).items() if name not in without}
-    place_of = dict(zip(sorted(wanted), places_of(sorted(wanted)), strict=True))
+    cameras = {name: camera for name, camera in cameras_of(model).items() if name not in without}
+    place_of = dict(zip(sorted(cameras), places_of(sorted(cameras)), strict=True))
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))
     except InputError as error:
@@ -47,12 +47,12 @@ def find_frames(
     lacking = set(missing)
     for name, place in place_of.items():
         if place not in lacking:
-            camera = model.camera(wanted[name].camera_id)
-            pictures.append(PictureFile(name, file_in(root, place) or root / place, camera.width, camera.height))
+            size = cameras[name].width, cameras[name].height
+            pictures.append(PictureFile(name, file_in(root, place) or root / place, *size))
             pictures[-1].check_size()
     if not missing:
         return pictures, []
-    text = f"{len(missing)} of {len(wanted)} frames are not in {root}, the first is {missing[0]}"
+    text = f"{len(missing)} of {len(cameras)} frames are not in {root}, the first is {missing[0]}"
     return pictures, [Remark(CAUTION, text)]
 
 
