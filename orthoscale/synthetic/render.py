@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -94,7 +95,7 @@ def _spans(pixels: np.ndarray, width: int, height: int) -> Iterator[tuple[np.nda
     polygon, row, left, count = polygon[keep], row[keep], left[keep], (right - left)[keep]
     portion = np.cumsum(count) // FRAGMENTS_AT_ONCE
     cuts = [0, *(np.flatnonzero(np.diff(portion)) + 1), len(count)]
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in pairwise(cuts):
         yield polygon[a:b], row[a:b], left[a:b], count[a:b]
 
 
