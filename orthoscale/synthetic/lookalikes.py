@@ -211,16 +211,6 @@ def bins(rng: np.random.Generator) -> Maker:
     return one
 
 
-def stacked_containers(_: np.random.Generator) -> Maker:
-    """Containers of any colour, side by side."""
-    return container
-
-
-def boats(_: np.random.Generator) -> Maker:
-    """Boats of any size at their moorings."""
-    return boat
-
-
 def outlines(rng: np.random.Generator) -> Maker:
     """Rectangles painted on the ground, as for parking bays, loading zones and games."""
     length, width, line = rng.uniform(3, 6), rng.uniform(1.4, 2.8), rng.uniform(0.08, 0.2)
@@ -251,6 +241,7 @@ def bushes(rng: np.random.Generator) -> Maker:
     return bush
 
 
-IN_ROWS: tuple[Callable[[np.random.Generator], Maker], ...] = (
-    graves, tents, bales, tanks, bins, stacked_containers, boats, outlines, bushes,
-)  # fmt: skip
+# Containers have any colour, and boats any size, within a row too.
+IN_ROWS: list[Callable[[np.random.Generator], Maker]] = [
+    graves, tents, bales, tanks, bins, lambda _: container, lambda _: boat, outlines, bushes,
+]  # fmt: skip
