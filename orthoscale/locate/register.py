@@ -155,7 +155,10 @@ def register(
     ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
     apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
     report = None if step is None else (lambda done, total: step("Searching the map", done, total))
-    found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
+    if finder is None:
+        found = search([way.template for way in ways], mapped.window, area, apart, VERIFIED, report)
+    else:
+        found = finder(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
     wrong = mirrored(ways, mapped, area, apart / 2) + [look for _, _, look in places[1:]]
@@ -163,18 +166,6 @@ def register(
     enough = max(LEAST_MATCHES, needed([look.count for look in wrong], len(places)))
     candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
     return judged(candidates, enough, seen, mapped)
-
-
-def correlation(
-    ways: Sequence[Way],
-    mapped: MapFeatures,
-    area: tuple[int, int, int, int],
-    apart: float,
-    most: int,
-    step: Callable[[int, int], None] | None = None,
-) -> list[Peak]:
-    """The `PlaceFinder` that correlates dense features; see `correlate.search`."""
-    return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
 def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
