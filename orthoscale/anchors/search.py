@@ -111,13 +111,13 @@ class _KindSearch:
         self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
         self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
         windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
+        order = np.arange(len(windows))
         if not self.exhaustive:
             windows = [(picture, tile) for picture, tile in windows if filled(picture).share(tile)]
-        order = range(len(windows))
-        if len(self.pictures) == 1 and not self.exhaustive:
-            order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), effort.seed).tolist()
-        elif not self.exhaustive:
-            order = np.random.default_rng(effort.seed).permutation(len(windows)).tolist()
+            if len(self.pictures) == 1:
+                order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), effort.seed)
+            else:
+                order = np.random.default_rng(effort.seed).permutation(len(windows))
         self.jobs = [windows[k] for k in order]
         self.looks: dict[int, list[Anchor]] = {}
         self.cache = AnchorCache(None)
