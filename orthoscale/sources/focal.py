@@ -45,7 +45,7 @@ HELD = 1e-9  # regularisation, as a share of each diagonal element: poses are kn
 SYSTEMATIC = 10.0
 OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the lean of vehicles is off by as much
 FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
-FOCAL_FRAMES = 12  # whose EXIF is read
+FOCAL_FRAMES = 12  # whose EXIF is read, spread evenly over the model: its lens may change on the way
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LONGEST_LENS = 2.5  # longer sides of the picture: 90 mm on full frame; aerial cameras have two at most
 LENS_UNKNOWNS = 3  # columns shared by all images of a camera: focal length, and two of radial distortion
@@ -106,7 +106,7 @@ def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> li
 
     cameras = cameras_of(model)
     found = []
-    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
+    for picture in (pictures[k] for k in evenly(len(pictures), FOCAL_FRAMES)):
         try:
             found.append((picture.name, lens_of(read_tags(picture.path)), cameras[picture.name].mean_focal_length()))
         except InputError:  # without a lens in its tags, or damaged, which its reader will report
