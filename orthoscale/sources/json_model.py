@@ -162,7 +162,7 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
 
 
 def _some_lines(path: Path) -> Iterator[str]:
-    """The lines of a text file; of a long one some thousands, spread over it. None if the file is missing."""
+    """The lines of a text file; of a long one some thousands, spread over it; of a missing one, nothing."""
     try:
         with path.open("rb") as file:
             size = path.stat().st_size

@@ -1,4 +1,4 @@
-"""Synthetic surveys with exact truth: an orthophoto, a COLMAP model with its frames, or labels for training."""
+"""Synthetic surveys with exact truth: an orthophoto, a COLMAP model with its frames, data sets, or training labels."""
 
 from __future__ import annotations
 
