@@ -168,10 +168,10 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     return Panel(title, image, outlines, scale_bar(1 / zoom, int(width)))
 
 
-def _evenly(vehicles: Sequence[Mapping], count: int) -> list[Mapping]:
+def _evenly(things: Sequence[Mapping], count: int) -> list[Mapping]:
     """`count` of them, evenly spaced from the first to the last."""
-    chosen = np.unique(np.linspace(0, len(vehicles) - 1, min(count, len(vehicles))).round().astype(int))
-    return [vehicles[k] for k in chosen]
+    chosen = np.linspace(0, len(things) - 1, min(count, len(things))).round().astype(int)
+    return [things[k] for k in chosen]
 
 
 def _chips(vehicles: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:
