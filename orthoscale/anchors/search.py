@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -238,15 +238,8 @@ class AnchorCache(Kept):
 
     def put(self, picture: Picture, tile: Tile, anchors: Sequence[Anchor]) -> None:
         """Keep what was found in `tile`. Raises nothing."""
-        self.keep(tile_name(picture, tile), json.dumps([_plain(anchor) for anchor in anchors]).encode())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Anchor | Standard):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
-    return [_plain(v) for v in value] if isinstance(value, tuple) else value
+        content = json.dumps([asdict(anchor) for anchor in anchors], default=lambda values: values.tolist())
+        self.keep(tile_name(picture, tile), content.encode())
 
 
 def _anchor(values: Mapping[str, Any]) -> Anchor:
