@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pycolmap
 import pytest
@@ -211,6 +214,21 @@ def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
         camera.params = [810.0, *camera.params[1:]]
     same = focal_doubt(model, ColmapSource.open(tmp_path).pictures)
     assert "; cameras are left where they are, since" in same.said, "not: 0 % lower"
+
+
+def test_the_frames_whose_tags_are_asked_for_their_lens_are_spread_over_all(monkeypatch):
+    """Fewer than two for each that is asked: not the first twelve of them."""
+    frames = [SimpleNamespace(name=f"{k:02d}.jpg", path=Path(f"{k:02d}.jpg")) for k in range(23)]
+    asked = []
+    monkeypatch.setattr(focal, "cameras_of", lambda _: {})
+    monkeypatch.setattr("orthoscale.sources.lens.lens_of", lambda path: asked.append(path.name) or _without_lens())
+    monkeypatch.setattr("orthoscale.sources.tags.read_tags", lambda path: path)
+    assert focal._told(None, frames) == []
+    assert asked == [f"{k:02d}.jpg" for k in range(0, 23, 2)]
+
+
+def _without_lens():
+    raise InputError("no lens", "none")
 
 
 def test_footprints_stay_and_heights_follow():

@@ -423,6 +423,13 @@ def test_a_cache_of_another_user_is_read_and_stops_nothing(tmp_path, picture_fil
         assert cache.get(picture_file, tile) is not None
 
 
+def test_without_a_key_nothing_is_kept(picture_file, tmp_path):
+    with TileCache(None, tmp_path) as cache:
+        cache.put(picture_file, Tile(0, 0, 10, 10, 10, 10), Looks(Boxes.empty(), Boxes.empty()))
+        assert cache.get(picture_file, Tile(0, 0, 10, 10, 10, 10)) is None
+    assert not (tmp_path / "tiles").exists()
+
+
 @pytest.mark.parametrize("code", [CODE, CODE_OF_FINDERS, FEATURE_CODE, EMBEDDING_CODE])
 def test_the_files_that_decide_over_what_is_kept_are_there(code):
     package = Path(orthoscale.__file__).parent

@@ -11,8 +11,9 @@ from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.mark import refuse_marked
 from ..formats.geometry.sim3 import Sim3
 from ..formats.geometry.vertices import WITH_VERTICES
-from ..sources.cameras import MODELS, metric_cameras
+from ..sources.cameras import metric_centres
 from ..sources.dense_cloud import off_metric_model
+from ..sources.exchange_files import MODEL_SUFFIXES
 from ..sources.scaling import points_in_metres, scale_path
 from ..system.outputs import Outputs
 from ..system.paths import absolute, path_of, paths_of
@@ -40,9 +41,8 @@ def apply(
     with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out, metres=True)
         scale = Sim3.load(sim3).scale
-        metric = (
-            metric_cameras(sim3.parent) if any(path.is_dir() or path.suffix.lower() in MODELS for path in given) else {}
-        )
+        with_models = any(path.is_dir() or path.suffix.lower() in MODEL_SUFFIXES for path in given)
+        metric = metric_centres(sim3.parent) if with_models else {}
         for path, name in zip(given, names, strict=True):
             if written_in_metres(path):
                 refuse_marked(path)

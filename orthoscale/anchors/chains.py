@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.angles import quarter_turn
 from ..core.linked import linked_groups
 from .periods import Row, find_row
 from .strokes import Strokes, near_pairs, values
@@ -116,7 +117,7 @@ def levels(image: np.ndarray, chain: Chain, aside: float) -> ChainLevels:
     """Colours of RGB uint8 `image` on and around `chain`. aside : how far beside the strokes [px]."""
     lines = chain.lines()
     along = _forward(chain.strokes)
-    across = np.stack([-along[:, 1], along[:, 0]], -1)
+    across = quarter_turn(along)
     share = INSIDE_DASH[:, None, None]
     on = lines[:, 0] * (1 - share) + lines[:, 1] * share
     between = lines[:-1, 1] * (1 - share) + lines[1:, 0] * share

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.angles import unit_vector
 from .court_models import Court
 from .peaks import circle_centres, peak_shift
 from .poses import Poses, Ridges
@@ -36,10 +37,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     found = found[np.argsort(-found[:, 3], kind="stable")][:most]
     angle = np.arange(TURNS) * np.pi / TURNS
     along = np.linspace(-1, 1, 81) * reach / radius  # [radii]
-    place = (
-        found[:, None, None, :2]
-        + found[:, None, None, 2:3] * along[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)[:, None]
-    )
+    place = found[:, None, None, :2] + found[:, None, None, 2:3] * along[:, None] * unit_vector(angle)[:, None]
     ridge = ridges.at(place[..., 0], place[..., 1], np.broadcast_to(angle[:, None], place.shape[1:3]))
     line = np.clip(ridge / CLEAR_RIDGE, 0, 1).mean(-1)  # (N, TURNS)
     best = line.argmax(1) if len(found) else np.zeros(0, int)

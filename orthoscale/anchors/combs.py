@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.normal import ROBUST_SD, median_and_sd, median_sd
-from .following import followed, ridge_across, three_back
+from .following import SECTION_STEP, followed, ridge_across, three_back
 from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
 from .repeated import LOCAL_STRETCH
@@ -69,7 +69,7 @@ class Block:
     @property
     def across(self) -> np.ndarray:
         """(2,) unit vector across the lines."""
-        return np.array([-np.sin(self.heading), np.cos(self.heading)])
+        return quarter_turn(unit_vector(self.heading))
 
     @property
     def number(self) -> np.ndarray:
@@ -117,7 +117,7 @@ def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, .
     half = np.linalg.norm(blocks[0].place - blocks[1].place) / 2
     pieces = []
     for block in blocks:
-        along = half * np.array([np.cos(block.heading), np.sin(block.heading)])
+        along = half * unit_vector(block.heading)
         pieces.append(np.stack([block.lines() - along, block.lines() + along], 1))
     lines = np.concatenate(pieces)
     return Anchor(
@@ -146,12 +146,6 @@ def pitch(blocks: Sequence[Block]) -> float:
     return float(np.median(_pitches(blocks)))
 
 
-def _scatter(period: np.ndarray) -> float:
-    """Relative one sigma of the blocks' periods, robust."""
-    median, sd = median_and_sd(period)
-    return float(sd / median)
-
-
 def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
     """(N, 3) place [px] and direction [rad] of pieces of lines with parallel ones beside them, those with most
     first."""
@@ -159,7 +153,7 @@ def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
     if len(seeds.angle) < comb.fewest:
         return np.zeros((0, 3))
     reach = max(comb.fewest * comb.high, SEED_PX)
-    by_turn = reach / (2 * LINES_PARALLEL) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
+    by_turn = reach / (2 * LINES_PARALLEL) * unit_vector(2 * seeds.angle)
     near = cKDTree(np.hstack([seeds.middle, by_turn])).query_pairs(reach, output_type="ndarray")
     gap = seeds.middle[near[:, 1]] - seeds.middle[near[:, 0]]
     angle = seeds.angle[near[:, 0]]
@@ -199,19 +193,20 @@ def _block(
 ) -> Block | None:
     """The lines in a cross section of the comb at `place` [px], whose pitch lies `between` two values [px] and whose
     ridges exceed `least` [grey levels]; None if they are too few."""
-    unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    fine = np.arange(-comb.across, comb.across, 0.25)
+    along = unit_vector(angle)
+    across = quarter_turn(along)
+    fine = np.arange(-comb.across, comb.across, SECTION_STEP)
     t = np.linspace(-0.5, 0.5, max(6, int(comb.block))) * comb.block
-    grid = place + t[:, None, None] * unit + fine[:, None] * across
+    grid = place + t[:, None, None] * along + fine[:, None] * across
     inside = ((grid >= 0) & (grid <= np.array(light.shape[::-1]) - 1)).all(-1).all(0)
-    response = ridge_across(values(light, grid).mean(0), 0.25, float(np.clip(comb.line / 2, *LINE_SD_PX)))
+    response = ridge_across(values(light, grid).mean(0), float(np.clip(comb.line / 2, *LINE_SD_PX)))
     left, middle, right = response[:-2], response[1:-1], response[2:]
     peak = np.flatnonzero((middle > left) & (middle >= right) & (middle > least) & inside[1:-1])
     if len(peak) < comb.fewest:
         return None
     clear = max(LINE_CLEAR * float(np.sort(middle[peak])[-comb.fewest]), least)
     peak = peak[middle[peak] > clear]
-    offset = fine[peak + 1] + 0.25 * peak_shift(left[peak], middle[peak], right[peak])
+    offset = fine[peak + 1] + SECTION_STEP * peak_shift(left[peak], middle[peak], right[peak])
     row = find_row(offset, *between, comb.fewest)
     if row is None or row.filled < COMB_FILLED or len(row.number) > comb.most or row.regularity < COMB_REGULAR:
         return None
@@ -245,7 +240,8 @@ def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> li
 
 def _is_painted(image: np.ndarray, blocks: Sequence[Block], comb: Comb) -> bool:
     """Whether the lines keep their pitch and are brighter than the ground, which is uniform along them."""
-    if _scatter(np.array([block.row.period for block in blocks])) > COMB_UNEVEN:
+    period, scatter = median_and_sd(np.array([block.row.period for block in blocks]))
+    if scatter / period > COMB_UNEVEN:
         return False
     paint = np.array([np.median(values(image, block.lines()), axis=0) for block in blocks])
     ground = np.array([np.median(values(image, block.lines(0.5)[:-1]), axis=0) for block in blocks])

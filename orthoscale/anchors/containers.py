@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from ..core.anchors import Anchor, Standard
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.linked import linked_groups
 from ..core.normal import robust_sd
 from .peaks import peak_shift
@@ -98,12 +98,12 @@ class Roofs:
     @property
     def along(self) -> np.ndarray:
         """(N, 2) unit vectors along the long sides."""
-        return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
+        return unit_vector(self.angle)
 
     def corners(self) -> np.ndarray:
         """(N, 4, 2) corners in order around each roof [px]."""
         along = self.along * self.length[:, None] / 2
-        across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
+        across = quarter_turn(self.along) * self.width[:, None] / 2
         return self.place[:, None] + np.stack([-along - across, along - across, along + across, across - along], 1)
 
 
@@ -337,7 +337,7 @@ def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:
     along = roofs.along[a]
     middle = roofs.place[a] + share[:, None] * (roofs.place[b] - roofs.place[a])
     side = abs(float((roofs.place[b] - roofs.place[a]) @ along)) < roofs.length[a] / 2
-    across = along if side else np.array([-along[1], along[0]])
+    across = along if side else quarter_turn(along)
     wide = GAP_ALONG * (roofs.length[a] if side else roofs.width[a])
     spots = middle[:, None] + np.linspace(-0.5, 0.5, 15)[:, None] * wide * across
     seen = np.median(values(colours, spots), axis=1).mean(1)

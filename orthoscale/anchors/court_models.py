@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ..core.anchors import Standard
+from ..core.angles import quarter_turn, unit_vector
 
 NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where grids of joints and parking bays have their next line
 FINE_PIECE = 0.3  # [m] of the pieces of paint from which blanks keep their distance
@@ -42,7 +43,7 @@ class Stroke:
         """Points (N, 2) [m] at `along` [m] from its start, and its directions (N,) [rad] there."""
         if self.radius:
             turn = self.end[0] + np.sign(self.end[1] - self.end[0]) * along / self.radius
-            return np.array(self.start) + self.radius * np.stack([np.cos(turn), np.sin(turn)], -1), turn + np.pi / 2
+            return np.array(self.start) + self.radius * unit_vector(turn), turn + np.pi / 2
         start, step = np.array(self.start), np.subtract(self.end, self.start) / self.length
         return start + along[:, None] * step, np.full(len(along), np.arctan2(step[1], step[0]))
 
@@ -110,7 +111,7 @@ class Court:
         """Where nothing is painted: beside the strokes and beyond their ends, in pieces of `length` [m] that are at
         least `free` [m] from all paint."""
         painted, fine = self.pieces(length), self.pieces(FINE_PIECE).middle
-        normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
+        normal = quarter_turn(unit_vector(painted.direction))
         middles, directions = [], []
         for away in self.beside:
             for first, side in enumerate((away, -away)):  # every other piece to each side is enough
@@ -126,7 +127,7 @@ class Court:
                     middles.append(place)
                     directions.append(direction)
         middle, direction = np.concatenate(middles), np.concatenate(directions)
-        step = np.stack([np.cos(direction), np.sin(direction)], -1) * length / 2
+        step = unit_vector(direction) * length / 2
         blank = np.ones(len(middle), bool)
         for share in (-1, -0.5, 0, 0.5, 1):
             gap = middle[:, None] + share * step[:, None] - fine
@@ -145,12 +146,12 @@ class Court:
         return np.concatenate(lines)
 
 
-def _along(y: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
-    return Stroke((start, y), (end, y), 0.0, weight, ends)
+def _along(y: float, start: float, end: float, ends: tuple[bool, bool] = (True, True)) -> Stroke:
+    return Stroke((start, y), (end, y), ends=ends)
 
 
 def _across(x: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
-    return Stroke((x, start), (x, end), 0.0, weight, ends)
+    return Stroke((x, start), (x, end), weight=weight, ends=ends)
 
 
 def _arc(x: float, y: float, radius: float, start: float, end: float, weight: float = 0.5) -> Stroke:

@@ -8,6 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from ..core.angles import quarter_turn, unit_vector
 from .court_models import PARALLEL_STROKES, Court, Pieces
 from .peaks import peak_shift
 from .ridges import ridge_noise
@@ -82,7 +83,7 @@ class Cut:
 def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     """See `Cut.neighbours`."""
     pieces = court.pieces(length)
-    along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1)
+    along = unit_vector(pieces.direction)
     gap = pieces.middle[None] - pieces.middle[:, None]
     beside = np.abs((gap * along[:, None]).sum(-1)) <= pieces.length[:, None] / 2
     off = gap[..., 1] * along[:, None, 0] - gap[..., 0] * along[:, None, 1]
@@ -235,11 +236,11 @@ def measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, 
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, s], [-s, c]]) * [[along], [across]]
     middle = np.array([x, y]) + pieces.middle @ turn
-    step_along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1) @ turn
+    step_along = unit_vector(pieces.direction) @ turn
     unit = step_along / np.hypot(*step_along.T)[:, None]
     part = (np.arange(inner) + 0.5) / inner - 0.5
     base = middle[:, None] + (pieces.length[:, None] * part)[..., None] * step_along[:, None]
-    normal = np.stack([-unit[:, 1], unit[:, 0]], -1)
+    normal = quarter_turn(unit)
     grid = base[:, :, None] + offset[:, None] * normal[:, None, None]
     grid = grid.reshape(-1, len(offset), 2).astype(np.float32)
     band = cv2.remap(light, grid[..., 0], grid[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, unit_vector
 from .circle_search import circled
 from .court_models import PARALLEL_STROKES, Court
 from .poses import Poses, Ridges
@@ -109,7 +109,7 @@ def _pairs(seeds: Segments, ahead: float, apart: float) -> tuple[np.ndarray, np.
     angle (N,) [rad], and where both lie along and across it (N, 2) from the picture's origin [px], lower one first."""
     # pairs near in place and direction: a turn by SEEDS_APART counts as much as the whole reach
     most = float(np.hypot(ahead, apart))
-    around = most / (2 * np.sin(SEEDS_APART)) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
+    around = most / (2 * np.sin(SEEDS_APART)) * unit_vector(2 * seeds.angle)
     pair = cKDTree(np.hstack([seeds.middle, around])).query_pairs(most * np.sqrt(2), output_type="ndarray")
     turn = axis_angle(seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]])
     pair, turn = pair[np.abs(turn) <= SEEDS_APART], turn[np.abs(turn) <= SEEDS_APART]

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.anchors import Anchor, Standard, holding
 from .chains import Chain, find_chains, levels
 from .repeated import anchor_of
-from .rules import ruled, sizes, within_reach
+from .rules import ruled, shares_by_country, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # relative 1 sigma of a line's mean period about its rule: 68 of 81 American lines are within 1.2 %
@@ -20,56 +20,59 @@ LANE_FALSE = 0.07  # six of 81 American lines are off by 3 to 11 %: painted to n
 POLAND = "speeds by brd.szkola.pl and droga.zut.edu.pl; lengths recalled"
 
 
-def _line(dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0) -> Standard:
+def _line(
+    dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0
+) -> tuple[float, Standard]:
+    """Length of the dash [m] and standard."""
     name = f"dashes {dash:g} m, gaps {gap:g} m: {where}"
-    return Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()), source != POLAND)
+    known = source != POLAND
+    return dash, Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()), known)
 
 
 CALIFORNIA = "48 ft from mark to mark, Orange County Register 2018 (govtech.com); 12 ft of it paint recalled"
 
 LANE_LINES = (
-    (3.048, _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US")),
-    (3.6576, _line(3.6576, 10.9728, "Californian freeways", CALIFORNIA, "US", 0.15)),
-    (6.0, _line(6, 12, "motorways", "RMS (Germany), colliseum.eu; BoMaVO (Austria), helmutobermayer.at", "DE AT")),
-    (4.0, _line(4, 8, "rural roads", "RMS (Germany), stroke to gap 1:2", "DE", 0.7)),
-    (3.0, _line(3, 6, "towns", "RMS (Germany), colliseum.eu: strokes of 3 m in towns, 1:2", "DE")),
-    (3.0, _line(3, 3, "junctions, towns", "RMS (Germany): 1:1 at junctions; BoMaVO (Austria)", "DE AT", 0.7)),
-    (1.5, _line(1.5, 1.5, "through junctions", "RMS (Germany), as lines of Munich show", "DE", 0.4)),
-    (6.0, _line(6, 9, "rural roads", "BoMaVO (Austria), helmutobermayer.at", "AT")),
-    (6.0, _line(6, 9, "60 km/h and more", "GB 51038-2015 12.3.2 (China)", "CN")),
-    (2.0, _line(2, 4, "below 60 km/h", "GB 51038-2015 12.3.2 (China)", "CN")),
-    (3.0, _line(3, 6, "elevated and fast urban roads", "hold-in.cn on Chinese practice", "CN", 0.3)),
-    (8.0, _line(8, 12, "expressways", "order on road signs (Japan), driveplaza.com", "JP KR", 0.7)),
-    (5.0, _line(5, 5, "other roads", "order on road signs (Japan), bike-news.jp", "JP")),
-    (3.0, _line(3, 5, "towns", "road marking manual (Korea), wiki1.kr", "KR")),
-    (5.0, _line(5, 8, "rural roads", "road marking manual (Korea), wiki1.kr", "KR", 0.7)),
-    (10.0, _line(10, 10, "motorways", "20 m in all, cafe.daum.net; 10 m of it paint recalled", "KR", 0.7)),
-    (2.0, _line(2, 4, "centre lines to 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008", "GB")),
-    (1.0, _line(1, 5, "lane lines to 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005", "GB", 0.7)),
-    (3.0, _line(3, 6, "centre lines above 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008.1", "GB")),
-    (2.0, _line(2, 7, "lane lines above 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005.1", "GB")),
-    (4.0, _line(4, 2, "warning to 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008", "GB", 0.7)),
-    (6.0, _line(6, 3, "warning above 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008.1", "GB", 0.7)),
-    (4.5, _line(4.5, 7.5, "above 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
-    (3.0, _line(3, 4.5, "50 to 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
-    (3.0, _line(3, 3, "to 50 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
-    (5.0, _line(5, 12, "above 100 km/h", "Norma 8.2-IC M-1.1 (Spain)", "ES")),
-    (3.5, _line(3.5, 9, "60 to 100 km/h", "Norma 8.2-IC M-1.2 (Spain)", "ES")),
-    (2.0, _line(2, 5.5, "to 60 km/h", "Norma 8.2-IC M-1.3 (Spain)", "ES")),
-    (3.0, _line(3, 10, "T1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR")),
-    (1.5, _line(1.5, 5, "T'1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR", 0.7)),
-    (3.0, _line(3, 9, "roads", "RONA (Netherlands), wegenwiki.nl; 164/1992 (Finland) 26; Sweden 1:3", "NL FI SE NO")),
-    (1.0, _line(1, 3, "towns", "164/1992 (Finland) 26; theoriecursus.nl", "NL FI", 0.7)),
-    (3.0, _line(3, 7, "roads", "NZTA TCD manual part 5 table 2-28", "NZ")),
-    (3.0, _line(3, 9, "roads", "lists of markings in Victoria, 2018 to 2024 (services2.arcgis.com): 9 m x 3 m", "AU")),
-    (2.0, _line(2, 6, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
-    (1.0, _line(1, 3, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
-    (3.0, _line(3, 9, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ")),
-    (4.0, _line(4, 12, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ", 0.5)),
-    (4.0, _line(4, 8, "P-1a, above 70 km/h", POLAND, "PL")),
-    (2.0, _line(2, 4, "P-1b, to 70 km/h", POLAND, "PL")),
+    _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US"),
+    _line(3.6576, 10.9728, "Californian freeways", CALIFORNIA, "US", 0.15),
+    _line(6, 12, "motorways", "RMS (Germany), colliseum.eu; BoMaVO (Austria), helmutobermayer.at", "DE AT"),
+    _line(4, 8, "rural roads", "RMS (Germany), stroke to gap 1:2", "DE", 0.7),
+    _line(3, 6, "towns", "RMS (Germany), colliseum.eu: strokes of 3 m in towns, 1:2", "DE"),
+    _line(3, 3, "junctions, towns", "RMS (Germany): 1:1 at junctions; BoMaVO (Austria)", "DE AT", 0.7),
+    _line(1.5, 1.5, "through junctions", "RMS (Germany), as lines of Munich show", "DE", 0.4),
+    _line(6, 9, "rural roads", "BoMaVO (Austria), helmutobermayer.at", "AT"),
+    _line(6, 9, "60 km/h and more", "GB 51038-2015 12.3.2 (China)", "CN"),
+    _line(2, 4, "below 60 km/h", "GB 51038-2015 12.3.2 (China)", "CN"),
+    _line(3, 6, "elevated and fast urban roads", "hold-in.cn on Chinese practice", "CN", 0.3),
+    _line(8, 12, "expressways", "order on road signs (Japan), driveplaza.com", "JP KR", 0.7),
+    _line(5, 5, "other roads", "order on road signs (Japan), bike-news.jp", "JP"),
+    _line(3, 5, "towns", "road marking manual (Korea), wiki1.kr", "KR"),
+    _line(5, 8, "rural roads", "road marking manual (Korea), wiki1.kr", "KR", 0.7),
+    _line(10, 10, "motorways", "20 m in all, cafe.daum.net; 10 m of it paint recalled", "KR", 0.7),
+    _line(2, 4, "centre lines to 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008", "GB"),
+    _line(1, 5, "lane lines to 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005", "GB", 0.7),
+    _line(3, 6, "centre lines above 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008.1", "GB"),
+    _line(2, 7, "lane lines above 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005.1", "GB"),
+    _line(4, 2, "warning to 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008", "GB", 0.7),
+    _line(6, 3, "warning above 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008.1", "GB", 0.7),
+    _line(4.5, 7.5, "above 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT"),
+    _line(3, 4.5, "50 to 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT"),
+    _line(3, 3, "to 50 km/h", "DPR 495/1992 art. 138 (Italy)", "IT"),
+    _line(5, 12, "above 100 km/h", "Norma 8.2-IC M-1.1 (Spain)", "ES"),
+    _line(3.5, 9, "60 to 100 km/h", "Norma 8.2-IC M-1.2 (Spain)", "ES"),
+    _line(2, 5.5, "to 60 km/h", "Norma 8.2-IC M-1.3 (Spain)", "ES"),
+    _line(3, 10, "T1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR"),
+    _line(1.5, 5, "T'1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR", 0.7),
+    _line(3, 9, "roads", "RONA (Netherlands), wegenwiki.nl; 164/1992 (Finland) 26; Sweden 1:3", "NL FI SE NO"),
+    _line(1, 3, "towns", "164/1992 (Finland) 26; theoriecursus.nl", "NL FI", 0.7),
+    _line(3, 7, "roads", "NZTA TCD manual part 5 table 2-28", "NZ"),
+    _line(3, 9, "roads", "lists of markings in Victoria, 2018 to 2024 (services2.arcgis.com): 9 m x 3 m", "AU"),
+    _line(2, 6, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5),
+    _line(1, 3, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5),
+    _line(3, 9, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ"),
+    _line(4, 12, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ", 0.5),
+    _line(4, 8, "P-1a, above 70 km/h", POLAND, "PL"),
+    _line(2, 4, "P-1b, to 70 km/h", POLAND, "PL"),
 )
-"""Length of the dash [m] and standard."""
 
 PAINTED_SHARE = {standard.name: dash / standard.metres for dash, standard in LANE_LINES}  # by names of standards
 ANY_SHARE = 0.12, 0.7  # limits of the share of paint where a standard does not give it
@@ -121,12 +124,11 @@ class LaneDashes:
 
 def split_by_country(standards: Sequence[Standard]) -> list[Standard]:
     """Each of `standards` once for each country that it names; its prior is its share among that country's rules."""
-    out = []
-    for country in dict.fromkeys(code for standard in standards for code in standard.countries):
-        own = holding(standards, country)
-        total = sum(standard.prior for standard in own)
-        out += [replace(standard, countries=(country,), prior=standard.prior / total) for standard in own]
-    return out
+    return [
+        replace(standard, countries=(country,), prior=share)
+        for country, shares in shares_by_country(standards).items()
+        for standard, share in shares.items()
+    ]
 
 
 def _unlike(standards: Sequence[Standard], meant: Sequence[Standard]) -> tuple[str, ...]:

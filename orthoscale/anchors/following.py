@@ -7,7 +7,10 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from ..core.angles import unit_vector
+
 BLOCKS_MISSING = 2  # most in succession
+SECTION_STEP = 0.25  # [px] between the samples of a cross section
 
 
 class Piece(Protocol):
@@ -42,7 +45,7 @@ def followed(
         got, place, missing = [first], first.place, 0
         while missing <= BLOCKS_MISSING and len(got) < most:
             heading = got[-1].heading
-            place = place + way * step * np.array([np.cos(heading), np.sin(heading)])
+            place = place + way * step * unit_vector(heading)
             if not (0 <= place[0] < width and 0 <= place[1] < height):
                 break
             block = further(place, got, way)
@@ -61,11 +64,11 @@ def three_back(before: Sequence[P]) -> P:
     return before[max(len(before) - 3, 0)]
 
 
-def ridge_across(profile: np.ndarray, step: float, sd: float) -> np.ndarray:
-    """(N,) ridges of a cross section (N,) sampled every `step` [px]. The filter is the second derivative of a Gaussian
+def ridge_across(profile: np.ndarray, sd: float) -> np.ndarray:
+    """(N,) ridges of a cross section (N,) sampled every SECTION_STEP. The filter is the second derivative of a Gaussian
     of `sd` [px], negated; its absolute values sum to 1."""
-    reach = np.ceil(4 * sd / step)
-    r = np.arange(-reach, reach + 1) * step / sd
+    reach = np.ceil(4 * sd / SECTION_STEP)
+    r = np.arange(-reach, reach + 1) * SECTION_STEP / sd
     kernel = (1 - r**2) * np.exp(-0.5 * r**2)
     kernel = (kernel - kernel.mean()) / np.abs(kernel).sum()
     return np.convolve(np.pad(profile, len(r) // 2, mode="edge"), kernel, mode="valid")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.angles import quarter_turn, unit_vector
 from ..core.linked import linked_groups
 from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
 from .strokes import Strokes, near_pairs, values
@@ -165,25 +166,21 @@ def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Lad
     if len(strokes) < fewest:
         return None, np.zeros(0, int)
     along = _direction(strokes)
-    row = find_row(strokes.centre @ _across(along), low, high, fewest)
+    row = find_row(strokes.centre @ quarter_turn(along), low, high, fewest)
     if row is None:
         return None, np.zeros(0, int)
     along = _direction(strokes[row.member])  # by the ladder's own strokes alone
-    again = find_row(strokes.centre @ _across(along), low, high, fewest)
+    again = find_row(strokes.centre @ quarter_turn(along), low, high, fewest)
     row = again if again is not None else row
     own = strokes[row.member]
-    return Ladder(own, row, along, _across(along)), row.member
+    return Ladder(own, row, along, quarter_turn(along)), row.member
 
 
 def _direction(strokes: Strokes) -> np.ndarray:
     """(2,) mean direction of the strokes. Strokes have no front, so doubled angles are averaged."""
     turn = 2 * np.arctan2(strokes.along[:, 1], strokes.along[:, 0])
     mean = np.arctan2((strokes.length * np.sin(turn)).sum(), (strokes.length * np.cos(turn)).sum()) / 2
-    return np.array([np.cos(mean), np.sin(mean)])
-
-
-def _across(along: np.ndarray) -> np.ndarray:
-    return np.array([-along[1], along[0]])
+    return unit_vector(mean)
 
 
 def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
@@ -210,7 +207,7 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     along /= np.linalg.norm(along)
     own = ladder.along + slope[:, None] * ladder.across
     own /= np.linalg.norm(own, axis=1, keepdims=True)
-    across = _across(along)
+    across = quarter_turn(along)
     row = fit_row(centre @ across, ladder.row.number, ladder.row.strays)
     return Ladder(replace(strokes, centre=centre, along=own), row, along, across)
 

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from ..core.anchors import Anchor, Standard
+from ..core.angles import unit_vector
 from ..core.normal import ROBUST_SD
 from .peaks import circle_centres, peak_shift
 from .repeated import LOCAL_STRETCH
@@ -229,7 +230,7 @@ def _rows(oval: Oval) -> np.ndarray:
     """(OVAL_SAMPLES, 5) by how much the points of `oval` move outward with its middle (two columns), angle, straight
     and radius."""
     place, normal, half = oval.points(OVAL_SAMPLES)
-    along = np.array([np.cos(oval.angle), np.sin(oval.angle)])
+    along = unit_vector(oval.angle)
     lever = place - oval.middle
     turned = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
     return np.column_stack([normal, turned, half * (normal @ along) / 2, np.ones(OVAL_SAMPLES)])

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard, holding
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, quarter_turn, unit_vector
 from ..core.normal import median_sd, robust_sd
-from .following import followed, ridge_across, three_back
+from .following import SECTION_STEP, followed, ridge_across, three_back
 from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, ridge_noise, segments, steered
@@ -128,7 +128,7 @@ class Track:
 
     def lines(self) -> np.ndarray:
         """(2 (B - 1), 2, 2) lines of both rails, from block to block [px]."""
-        across = np.stack([-self.along[:, 1], self.along[:, 0]], -1) * self.distance / 2
+        across = quarter_turn(self.along) * self.distance / 2
         return np.concatenate(
             [np.stack([rail[:-1], rail[1:]], 1) for rail in (self.middle + s * across for s in (-1, 1))]
         )
@@ -206,7 +206,7 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
     middle = seeds.middle[pair].mean(1)
     # pairs alike in place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, is half the reach
     reach = CONTINUED_WITHIN * SEED_PX
-    by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
+    by_turn = reach / (4 * RAIL_PARALLEL) * unit_vector(2 * angle)
     place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     c, s = np.cos(angle[near[:, 0]]), np.sin(angle[near[:, 0]])
@@ -255,14 +255,15 @@ def _block(
 ) -> TrackBlock | None:
     """The block of track about `place` [px], `length` [px] long, with rails about `apart` [px] that run at `angle`
     [rad]; None where two rails are not seen."""
-    unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    along = unit_vector(angle)
+    across = quarter_turn(along)
     sd = max(RAIL_SD / gsd, RAIL_SD_PX)
-    reach = np.ceil(FARTHEST_BESIDE * apart * 4)
-    offset = np.arange(-reach, reach + 1) / 4
+    reach = np.ceil(FARTHEST_BESIDE * apart / SECTION_STEP)
+    offset = np.arange(-reach, reach + 1) * SECTION_STEP
     t = np.linspace(-0.5, 0.5, max(8, int(length))) * length
-    grid = place + t[:, None, None] * unit + offset[:, None] * across
+    grid = place + t[:, None, None] * along + offset[:, None] * across
     profile = values(light, grid).mean(0)
-    response = ridge_across(profile, 0.25, sd)
+    response = ridge_across(profile, sd)
     rail = []
     for side in (-1, 1):
         about = np.abs(offset - side * apart / 2) <= RAIL_WINDOW * apart
@@ -270,7 +271,7 @@ def _block(
         if not (0 < k < len(offset) - 1) or response[k] < max(response[k - 1], response[k + 1]):
             return None
         left, middle, right = response[k - 1 : k + 2]
-        rail.append((offset[k] + 0.25 * float(peak_shift(left, middle, right)), middle))
+        rail.append((offset[k] + SECTION_STEP * float(peak_shift(left, middle, right)), middle))
     (a, one), (b, other) = rail
     away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
     close = np.abs(offset) < CLOSE_BESIDE * apart
@@ -308,7 +309,7 @@ def _has_sleepers(light: np.ndarray, track: Track, standards: Sequence[Standard]
     s = np.arange(0, at[-1], 0.5)
     place = np.column_stack([np.interp(s, at, track.middle[:, k]) for k in (0, 1)])
     along = np.column_stack([np.interp(s, at, track.along[:, k]) for k in (0, 1)])
-    across = np.stack([-along[:, 1], along[:, 0]], -1)
+    across = quarter_turn(along)
     offset = np.linspace(-BETWEEN_RAILS, BETWEEN_RAILS, 13)[:, None, None] * track.distance
     seen = values(light, place + offset * across).mean(0)
     width = max(3, int(2 * track.distance))

@@ -16,6 +16,15 @@ def ruled(standards: Sequence[Standard], country: str) -> bool:
     return any(country in standard.countries for standard in standards) or not any(s.countries for s in standards)
 
 
+def shares_by_country(standards: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
+    """The share of each standard among those of a country, by their priors, for every country that `standards` name."""
+    named = dict.fromkeys(country for standard in standards for country in standard.countries)
+    own = {country: [each for each in standards if country in each.countries] for country in named}
+    return {
+        country: {one: one.prior / sum(each.prior for each in of_it) for one in of_it} for country, of_it in own.items()
+    }
+
+
 def sizes(standards: Sequence[Standard], gsd: float, gsd_sd: float) -> tuple[float, float]:
     """The smallest and the largest size to search for [px]."""
     slack = np.exp(SIGMAS_SEARCHED * gsd_sd)

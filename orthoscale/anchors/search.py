@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -77,7 +77,7 @@ def search(
     parts = [_KindSearch(one, gsd_sd, country, effort, most_pixels, enough) for one in sought]
     with ExitStack() as open_things:
         for part in parts:
-            part.cache = open_things.enter_context(AnchorCache(key)) if effort.cache and (key := part.key()) else None
+            part.cache = open_things.enter_context(AnchorCache(part.key() if effort.cache else None))
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
             batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only that way
@@ -111,16 +111,16 @@ class _KindSearch:
         self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
         self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
         windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
+        order = np.arange(len(windows))
         if not self.exhaustive:
             windows = [(picture, tile) for picture, tile in windows if filled(picture).share(tile)]
-        order = range(len(windows))
-        if len(self.pictures) == 1 and not self.exhaustive:
-            order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), effort.seed).tolist()
-        elif not self.exhaustive:
-            order = np.random.default_rng(effort.seed).permutation(len(windows)).tolist()
+            if len(self.pictures) == 1:
+                order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), effort.seed)
+            else:
+                order = np.random.default_rng(effort.seed).permutation(len(windows))
         self.jobs = [windows[k] for k in order]
         self.looks: dict[int, list[Anchor]] = {}
-        self.cache: AnchorCache | None = None
+        self.cache = AnchorCache(None)
 
     @property
     def done(self) -> bool:
@@ -145,7 +145,7 @@ class _KindSearch:
 
     def recalled(self, number: int) -> bool:
         """Take the result for window `number` from an earlier run's cache; whether there is one."""
-        found = self.cache.get(*self.jobs[number]) if self.cache else None
+        found = self.cache.get(*self.jobs[number])
         if found is not None:
             self.looks[number] = found
         return found is not None
@@ -158,8 +158,7 @@ class _KindSearch:
     def put(self, number: int, found: list[Anchor]) -> None:
         """Keep the anchors `found` in window `number`."""
         self.looks[number] = found
-        if self.cache:
-            self.cache.put(*self.jobs[number], found)
+        self.cache.put(*self.jobs[number], found)
 
     def found(self) -> list[Anchor]:
         """All anchors found so far, each once per picture."""
@@ -239,15 +238,8 @@ class AnchorCache(Kept):
 
     def put(self, picture: Picture, tile: Tile, anchors: Sequence[Anchor]) -> None:
         """Keep what was found in `tile`. Raises nothing."""
-        self.keep(tile_name(picture, tile), json.dumps([_plain(anchor) for anchor in anchors]).encode())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Anchor | Standard):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
-    return [_plain(v) for v in value] if isinstance(value, tuple) else value
+        content = json.dumps([asdict(anchor) for anchor in anchors], default=lambda values: values.tolist())
+        self.keep(tile_name(picture, tile), content.encode())
 
 
 def _anchor(values: Mapping[str, Any]) -> Anchor:

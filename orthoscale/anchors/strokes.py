@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.angles import axis_angle
+from ..core.angles import axis_angle, unit_vector
 from ..core.linked import linked
 
 JOINED_HEADING = np.cos(np.radians(20))  # least cosine between the directions of neighbouring ridge points of a stroke
@@ -194,7 +194,7 @@ def _straight(point: np.ndarray, member: np.ndarray, shortest: float, bent: floa
         off = point - centre[number]
         xx, xy, yy = (np.bincount(number, a * b) / n for a, b in ((off[:, 0],) * 2, off.T, (off[:, 1],) * 2))
         turn = 0.5 * np.arctan2(2 * xy, xx - yy)
-        along = np.stack([np.cos(turn), np.sin(turn)], -1)
+        along = unit_vector(turn)
         side = np.abs(off[:, 0] * along[number, 1] - off[:, 1] * along[number, 0])
         kept = side < ASTRAY_PX
     t = (off * along[number]).sum(1)

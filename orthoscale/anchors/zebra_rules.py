@@ -7,19 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.anchors import Standard
+from .rules import shares_by_country
 
 ZEBRA_PAINTED = 0.015  # relative one sigma of a crossing's period about its rule: 0.98 to 1.01 m in two Chinese towns
 ZEBRA_ABOUT = 0.03  # where the rule gives a range or says "about", or where none is known
-
-
-def shares_by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
-    """The share of each rule among a country's crossings, for every country that `rules` name; they sum to 1."""
-    named = dict.fromkeys(country for rule in rules for country in rule.countries)
-    own = {country: [rule for rule in rules if country in rule.countries] for country in named}
-    return {
-        country: {rule: rule.prior / sum(each.prior for each in of_it) for rule in of_it}
-        for country, of_it in own.items()
-    }
 
 
 def elsewhere(rules: Sequence[Standard]) -> tuple[Standard, ...]:

@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from .angles import axis_angle
+from .angles import axis_angle, quarter_turn, unit_vector
 from .brief import Brief
 
 SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehicle's; side by side they share nothing
@@ -116,12 +116,12 @@ class Boxes(Brief):
     @property
     def along(self) -> np.ndarray:
         """(N, 2) unit vectors along the long sides."""
-        return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
+        return unit_vector(self.angle)
 
     @property
     def across(self) -> np.ndarray:
         """(N, 2) unit vectors along the short sides: `along`, a quarter turn clockwise on screen."""
-        return np.stack([-np.sin(self.angle), np.cos(self.angle)], -1)
+        return quarter_turn(self.along)
 
     @property
     def corners(self) -> np.ndarray:

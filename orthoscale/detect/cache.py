@@ -98,13 +98,15 @@ class Kept:
     """Results of looks at one input with one choice of settings, in an SQLite file that survives a kill at any time.
 
     Each result has a name and a checksum; a damaged one is computed again. A file that SQLite cannot read is replaced
-    by a new one. If none can be written, nothing is stored, and the sweep goes on without it.
+    by a new one. If none can be written, or without a `key`, nothing is stored, and the work goes on without it.
     """
 
-    def __init__(self, key: str, folder: Path | None = None):
+    def __init__(self, key: str | None, folder: Path | None = None):
+        self._file: sqlite3.Connection | None = None
+        if key is None:
+            return
         folder = (folder or cache_folder()) / "tiles"
         self.path = folder / f"{key}.sqlite"
-        self._file: sqlite3.Connection | None = None
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _forget_old(folder)

@@ -8,7 +8,6 @@ scores. They show by how much the detector's boxes of this scene are too large, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -17,6 +16,7 @@ import numpy as np
 
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
+from ..core.evenly import evenly
 from ..core.normal import median_and_sd
 from ..core.progress import Progress
 from ..core.remarks import signed
@@ -104,8 +104,7 @@ def _measured(
     look = partial(measurer, enlarged=enlarged, contrast=contrast)
     settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "contrast": contrast}
     key = content_key([pictures[name] for name in index], settings) if effort.cache else None
-    with ExitStack() as open_things:
-        kept = open_things.enter_context(Kept(key)) if key else None
+    with Kept(key) as kept:
         raw = _looked_at(pictures, proposed, look, effort.threads, kept, progress)
     outlined, soft = _moved_out(raw, measurer.card, float(enlarged))
     told, too_large = _without_shadows(outlined, float(enlarged))
@@ -155,10 +154,8 @@ def _notes(seen: _Seen) -> Iterator[str]:
 def _chosen(boxes: Mapping[str, Boxes], most: int) -> dict[str, np.ndarray]:
     """Which boxes of each picture are measured: all, or `most` of them, evenly over pictures and scores."""
     order = [(name, k) for name, some in boxes.items() for k in np.argsort(-some.score, kind="stable").tolist()]
-    if len(order) > most:
-        order = [order[k] for k in np.linspace(0, len(order) - 1, most).astype(int)]
     chosen: dict[str, list[int]] = {}
-    for name, k in order:
+    for name, k in (order[n] for n in evenly(len(order), most)):
         chosen.setdefault(name, []).append(k)
     return {name: np.array(index) for name, index in chosen.items()}
 
@@ -168,7 +165,7 @@ def _looked_at(
     proposed: Mapping[str, Boxes],
     look: Callable[[Picture, Boxes], Measured],
     workers: int,
-    kept: Kept | None,
+    kept: Kept,
     progress: Progress | None,
 ) -> dict[str, Measured]:
     """Results of `look` for the `proposed` boxes of each picture; those that the cache `kept` has are not computed
@@ -184,8 +181,7 @@ def _looked_at(
         for done, ((name, index), told) in enumerate(zip(jobs, looks, strict=True), 1):
             for k, row in zip(index, told.rows, strict=True):
                 rows[name][k] = row
-                if kept is not None:
-                    kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
+                kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
             if progress:
                 progress("Measuring vehicles", done, len(jobs))
     return {name: Measured.of_rows(np.array(rows[name]), boxes.score) for name, boxes in proposed.items()}
@@ -225,8 +221,8 @@ def _row_name(picture: Picture, box: np.ndarray) -> str:
     return f"{as_text(picture)}:{','.join(map(repr, box.tolist()))}"
 
 
-def _kept(kept: Kept | None, picture: Picture, box: np.ndarray) -> np.ndarray | None:
-    content = None if kept is None else kept.content(_row_name(picture, box))
+def _kept(kept: Kept, picture: Picture, box: np.ndarray) -> np.ndarray | None:
+    content = kept.content(_row_name(picture, box))
     return None if content is None else np.frombuffer(content, "<f8")
 
 

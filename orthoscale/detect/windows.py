@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..core.evenly import evenly
 from ..core.source import Picture
 
 AT_MOST = 30  # windows; enough for medians and quantiles over them
@@ -16,8 +17,7 @@ AT_MOST = 30  # windows; enough for medians and quantiles over them
 def windows_about(pictures: Mapping[str, Picture], boxes: Mapping[str, Boxes]) -> list[np.ndarray]:
     """Grey windows (H, W), uint8, around some `boxes`, evenly chosen from all; each is two box lengths wide."""
     every = [(name, box) for name, some in boxes.items() for box in some.xylwa]
-    chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, AT_MOST).astype(int))] if every else []
-    return [_window(pictures[name], box) for name, box in chosen]
+    return [_window(pictures[name], box) for name, box in (every[k] for k in evenly(len(every), AT_MOST))]
 
 
 def _window(picture: Picture, box: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ import shapely
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from ..core.angles import quarter_turn, unit_vector
 from .catalogue import Facility
 
 # [deg] from north within which a facility counts as lying north to south. The ITF's Facilities Guide (2020) asks for
@@ -40,8 +41,8 @@ class PlacedFacility:
     def on_ground(self, points: np.ndarray) -> np.ndarray:
         """(n, 2) from the facility's own axes to east and north [m]."""
         angle = np.radians(90 - self.bearing)
-        ahead, left = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-        return points[:, :1] * ahead + points[:, 1:] * left + self.centre
+        ahead = unit_vector(angle)
+        return points[:, :1] * ahead + points[:, 1:] * quarter_turn(ahead) + self.centre
 
     @property
     def area(self) -> Polygon:

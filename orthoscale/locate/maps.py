@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 
 import cv2
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.source import NO_DATA_GREY
 from ..detect.cache import RASTER_CODE, Kept, content_key
 from ..sources.satellite import Satellite
@@ -111,11 +113,11 @@ class MapFeatures:
     """The dense features of a map on a `MapGrid`, made when needed and kept in the user's cache."""
 
     def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
-        self.grid, self.features = grid, features
+        self.grid, self.features, self._cache = grid, features, cache
         self._tile = lru_cache(IN_MEMORY)(self._made_tile)
         self._channels = channels
         key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, FEATURE_CODE)
-        self._kept = Kept(key) if cache and key is not None else None
+        self._kept = Kept(key if cache else None)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -128,40 +130,33 @@ class MapFeatures:
         """What is usual on this map, from a sample of its tiles."""
         rows, columns = (range(0, side, FEATURE_TILE) for side in self.shape)
         tiles = [(r, c) for r in rows for c in columns]
-        chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), SAMPLED_TILES)).astype(int))
-        return Usual.of([self._tile(*tiles[k]) for k in chosen], self._channels)
+        return Usual.of([self._tile(*tiles[k]) for k in evenly(len(tiles), SAMPLED_TILES)], self._channels)
 
     def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
         """(K, height, width) unit vectors of a window [cells]; zero where it reaches beyond the map."""
-        first = None
-        for r in range(max(row, 0) // FEATURE_TILE * FEATURE_TILE, min(row + height, self.shape[0]), FEATURE_TILE):
-            for c in range(
-                max(column, 0) // FEATURE_TILE * FEATURE_TILE, min(column + width, self.shape[1]), FEATURE_TILE
-            ):
-                tile = self._tile(r, c)
-                if first is None:
-                    first = np.zeros((tile.shape[0], height, width), np.float32)
-                top, left = max(r, row), max(c, column)
-                low, right = min(r + tile.shape[1], row + height), min(c + tile.shape[2], column + width)
-                first[:, top - row : low - row, left - column : right - column] = tile[
-                    :, top - r : low - r, left - c : right - c
-                ]
-        if first is None:
-            return np.zeros((len(self.usual.basis), height, width), np.float32)
-        return self.usual.of_features(first)
+        found = np.zeros((len(self.usual.mean), height, width), np.float32)
+        tops, lefts = (
+            range(max(start, 0) // FEATURE_TILE * FEATURE_TILE, min(start + side, whole), FEATURE_TILE)
+            for start, side, whole in zip((row, column), (height, width), self.shape, strict=True)
+        )
+        for r, c in product(tops, lefts):
+            top, left = max(r, row), max(c, column)
+            low, right = min(r + FEATURE_TILE, row + height), min(c + FEATURE_TILE, column + width)
+            part = self._tile(r, c)[:, top - r : low - r, left - c : right - c]
+            found[:, top - row : low - row, left - column : right - column] = part
+        return self.usual.of_features(found)
 
     def finer(self, finest: float) -> MapFeatures:
         """Features of the same map on the grid not finer than `finest` [m/px], with the `usual` of this one."""
         grid = MapGrid.of(self.grid.satellite, finest)
-        fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
+        fine = MapFeatures(grid, self.features, self._channels, self._cache)
         fine.usual = self.usual
         return fine
 
     def _made_tile(self, row: int, column: int) -> np.ndarray:
         """(C, FEATURE_TILE, FEATURE_TILE) features of one tile, in half precision as they are kept."""
         name = f"{row},{column}"
-        content = self._kept.content(name) if self._kept is not None else None
-        if content is not None:
+        if (content := self._kept.content(name)) is not None:
             return np.frombuffer(content, np.float16).reshape(-1, FEATURE_TILE, FEATURE_TILE)
         stride = self.features.stride
         edge = -(-self.features.border // stride)
@@ -169,6 +164,5 @@ class MapFeatures:
         pixels, valid = self.grid.read((column - edge) * stride, (row - edge) * stride, side, side)
         inner = slice(edge, edge + FEATURE_TILE)
         made = self.features.of(pixels, valid)[:, inner, inner].astype(np.float16)
-        if self._kept is not None:
-            self._kept.keep(name, made.tobytes())
+        self._kept.keep(name, made.tobytes())
         return made

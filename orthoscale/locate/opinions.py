@@ -38,11 +38,8 @@ class Opinions:
         """Whether the two agree, in words."""
         verb = "contradict each other" if self.contradict else "agree"
         ratio = self.claimed.value / self.matched.value
-        return f"the {self._who} and the map {verb}: ratio {ratio:.3f}, {self.sigmas:.1f} sigmas apart"
-
-    @property
-    def _who(self) -> str:
-        return "given GSD" if self.by == BY_WORD else self.by
+        who = "given GSD" if self.by == BY_WORD else self.by
+        return f"the {who} and the map {verb}: ratio {ratio:.3f}, {self.sigmas:.1f} sigmas apart"
 
 
 def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -110,7 +110,7 @@ def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
     if claimed is not None:
         source = claimed.photo.lens.source if claimed.focal_known else "not known"
         values |= {"attitude": claimed.photo.attitude, "focal_source": source}
-        values["claimed_scale"] = {"by": claimed.by, **_plain(claimed.gsd)}
+        values["claimed_scale"] = {"by": claimed.by, **asdict(claimed.gsd)}
     if best is not None and claimed is not None and scales is not None and got is not None:
         below, outline = foot(best), footprint(outcome, best)
         height = Interval90.log_normal(claimed.levelled.altitude * best.scale, got.scale_sd)
@@ -120,11 +120,11 @@ def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
             "middle": best.middle.tolist(),
             "footprint": None if outline is None else outline.tolist(),
             "heading_deg": round(float(np.degrees(best.heading)), 2) % 360,
-            "altitude_m": _plain(height) if claimed.focal_known else None,
+            "altitude_m": asdict(height) if claimed.focal_known else None,
             "inliers": best.inliers,
             "score": round(best.score, 4),
-            "map_scale": _plain(scales.matched),
-            "together": None if scales.together is None else _plain(scales.together),
+            "map_scale": asdict(scales.matched),
+            "together": None if scales.together is None else asdict(scales.together),
             "agreement": {"sigmas": round(scales.sigmas, 2), "contradict": scales.contradict, "said": scales.said},
         }
         exif = claimed.photo.tags.lon_lat
@@ -162,7 +162,3 @@ def candidate_rows(outcome: LocateOutcome, satellite: Satellite) -> list[dict[st
             }
         )
     return rows
-
-
-def _plain(value: Interval90) -> dict[str, float]:
-    return {"value": float(value.value), "low": float(value.low), "high": float(value.high)}

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 import pyproj
 
+from ..core.evenly import evenly
 from ..errors import TooLittleEvidence, UsageError
 from ..sources.satellite import Satellite
 from .correlate import Peak, Template, search
@@ -121,8 +122,8 @@ class Registration:
         best = self.candidates[0].inliers
         if best < self.needed:
             return f"best candidate has {best} matches, {self.needed} needed"
-        if self.candidates[0].squares < LEAST_SQUARES:
-            squares = self.candidates[0].squares
+        squares = self.candidates[0].squares
+        if squares < LEAST_SQUARES:
             where = f"{squares} squares of the picture only, {LEAST_SQUARES} needed"
             return f"the {best} matches of the best candidate lie in {where}"
         if self.rival is not None:
@@ -154,7 +155,10 @@ def register(
     ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
     apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
     report = None if step is None else (lambda done, total: step("Searching the map", done, total))
-    found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
+    if finder is None:
+        found = search([way.template for way in ways], mapped.window, area, apart, VERIFIED, report)
+    else:
+        found = finder(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
     wrong = mirrored(ways, mapped, area, apart / 2) + [look for _, _, look in places[1:]]
@@ -162,18 +166,6 @@ def register(
     enough = max(LEAST_MATCHES, needed([look.count for look in wrong], len(places)))
     candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
     return judged(candidates, enough, seen, mapped)
-
-
-def correlation(
-    ways: Sequence[Way],
-    mapped: MapFeatures,
-    area: tuple[int, int, int, int],
-    apart: float,
-    most: int,
-    step: Callable[[int, int], None] | None = None,
-) -> list[Peak]:
-    """The `PlaceFinder` that correlates dense features; see `correlate.search`."""
-    return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
 def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
@@ -279,8 +271,7 @@ def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int
 
     Only some of the `ways` are used; no two places are nearer than `apart` [cells]. Repeated structures, such as rows
     of houses or bays, agree in part with a mirror image too."""
-    some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
-    templates = [ways[k].template.mirrored(mapped) for k in some]
+    templates = [ways[k].template.mirrored(mapped) for k in evenly(len(ways), MIRRORED_WAYS)]
     found = search(templates, mapped.window, area, apart, NEGATIVES)
     return [verified(templates[peak.template], peak, mapped) for peak in found]
 
@@ -306,10 +297,9 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Query, mapped: Ma
     if not candidates:
         return Registration((), enough, None, float("inf"))
     best = candidates[0]
-    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
     if best.inliers < enough or best.squares < LEAST_SQUARES:
         return Registration(tuple(candidates), enough, None, float("inf"))
-    rival = rivals[0] if rivals else None
+    rival = next((k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers), None)
     best, sd = refined(best, seen, mapped)
     return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
 

@@ -144,17 +144,14 @@ class Retrieval:
         """A function that gives the vector of the window of `side` px of `grid` at a row and a column; vectors are kept
         for the next photo."""
         settings = {"network": self.ground.sha256, "card": repr(self.ground.card), "gsd": grid.gsd, "side": side}
-        key = content_key([grid.satellite.source], settings, EMBEDDING_CODE) if self.cache else None
-        kept = None if key is None else Kept(key)
+        kept = Kept(content_key([grid.satellite.source], settings, EMBEDDING_CODE) if self.cache else None)
 
         def vector(row: int, column: int) -> np.ndarray:
             name = f"{row},{column}"
-            content = None if kept is None else kept.content(name)
-            if content is not None:
+            if (content := kept.content(name)) is not None:
                 return np.frombuffer(content, np.float32)
             made = self.ground(grid.read(column, row, side, side)[0])
-            if kept is not None:
-                kept.keep(name, made.tobytes())
+            kept.keep(name, made.tobytes())
             return made
 
         return vector

@@ -35,8 +35,7 @@ def draw(report: Mapping[str, Any], scene: ReportPictures, path: Path) -> None:
             panels.append(drift_panel(drift, width, height, SHEET_WIDTH))
         if len(drift.get("regions", [])) >= FEWEST_REGIONS:
             panels.append(regions_panel(drift, report["scale"], SHEET_WIDTH))
-    sheet = np.concatenate([_padded(panel, SHEET_WIDTH) for panel in panels])
-    write_png(path, sheet)
+    write_png(path, np.concatenate([_padded(panel) for panel in panels]))
 
 
 def _title(report: Mapping[str, Any]) -> np.ndarray:
@@ -92,5 +91,5 @@ def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
     return np.concatenate([np.concatenate(chips[k : k + SHEET_COLUMNS], 1) for k in starts])
 
 
-def _padded(panel: np.ndarray, width: int) -> np.ndarray:
-    return np.pad(panel, ((0, 8), (0, width - panel.shape[1]), (0, 0)), constant_values=255)
+def _padded(panel: np.ndarray) -> np.ndarray:
+    return np.pad(panel, ((0, 8), (0, SHEET_WIDTH - panel.shape[1]), (0, 0)), constant_values=255)

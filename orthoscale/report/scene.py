@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..core.angles import unit_vector
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
@@ -158,7 +159,7 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     for (x, y), colour in zip(pixels[shown].astype(int).tolist(), colours[shown].tolist(), strict=True):
         cv2.circle(image, (x, y), dot, colour, -1)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    ring = np.stack([np.cos(turn), np.sin(turn)], -1)
+    ring = unit_vector(turn)
     outlines = [
         Outline(centre + max(SMALLEST_MARK, v["length"] / 2 * zoom) * ring, v["used"], _label(v))
         for centre, v in zip(to_px(vehicles), report["vehicles"], strict=True)
@@ -167,10 +168,10 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     return Panel(title, image, outlines, scale_bar(1 / zoom, int(width)))
 
 
-def _evenly(vehicles: Sequence[Mapping], count: int) -> list[Mapping]:
+def _evenly(things: Sequence[Mapping], count: int) -> list[Mapping]:
     """`count` of them, evenly spaced from the first to the last."""
-    chosen = np.unique(np.linspace(0, len(vehicles) - 1, min(count, len(vehicles))).round().astype(int))
-    return [vehicles[k] for k in chosen]
+    chosen = np.linspace(0, len(things) - 1, min(count, len(things))).round().astype(int)
+    return [things[k] for k in chosen]
 
 
 def _chips(vehicles: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:

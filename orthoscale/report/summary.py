@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from ..core.claims import NO_UNIT
@@ -28,8 +28,6 @@ from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
 SUMMARY_LAYER = "orthoscale"
-# Texts that no other output has.
-MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"', ".csv": "input,exit_code,"}
 
 # The columns of a summary, with their meaning; values are None where unknown. Intervals are 90 %.
 COLUMNS = {
@@ -59,8 +57,8 @@ Row = dict[str, Any]
 def check_summary(path: Path, copies: Sequence[Path] = ()) -> None:
     """Raise UsageError unless `path` has an ending of a summary, and where it would lie in one of the `copies` that the
     same command writes, or be named as if it belonged to one, as its report does."""
-    if path.suffix.lower() not in SUMMARY_WRITERS:
-        raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_WRITERS)}", "Choose one of them.")
+    if path.suffix.lower() not in SUMMARY_FORMS:
+        raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_FORMS)}", "Choose one of them.")
     for copy in copies:
         beside = copy.suffix == ".tif" and path.name.lower().startswith(f"{copy.name.lower()}.")
         if inside(path, copy) or beside and inside(path, copy.parent):
@@ -70,7 +68,7 @@ def check_summary(path: Path, copies: Sequence[Path] = ()) -> None:
 def is_summary(path: Path) -> bool:
     """Whether `path` is a summary that orthoscale wrote in the format of its ending, and not another output of it, such
     as the report of a copy."""
-    return is_signed(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
+    return is_signed(path) and SUMMARY_FORMS[path.suffix.lower()].mark.encode() in path.read_bytes()
 
 
 def inputs_in(path: Path) -> set[str] | None:
@@ -78,7 +76,7 @@ def inputs_in(path: Path) -> set[str] | None:
     if not path.is_file():  # a pipe would be waited for
         return None
     try:
-        return set(map(in_utf8, SUMMARY_READERS[path.suffix.lower()](path)))
+        return set(map(in_utf8, SUMMARY_FORMS[path.suffix.lower()].inputs(path)))
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error, sqlite3.Error):
         return None
 
@@ -105,7 +103,7 @@ def _in_page(path: Path) -> list[str]:
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
     """Write `rows` to `path`, in the format of its ending. Links are relative to `place`, the file's final path. Raises
     OSError."""
-    SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
+    SUMMARY_FORMS[path.suffix.lower()].write(rows, path, place)
 
 
 def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -162,15 +160,17 @@ def _page_of(row: Mapping[str, Any], place: Path) -> str:
     return quote(os.fsencode(os.path.relpath(page, place.absolute().parent))) if page.is_file() else ""
 
 
-SUMMARY_WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {
-    ".csv": _write_csv,
-    ".json": _write_json,
-    ".gpkg": _write_points,
-    ".html": _write_page,
-}
-SUMMARY_READERS: dict[str, Callable[[Path], list[str]]] = {
-    ".csv": _in_csv,
-    ".json": _in_json,
-    ".gpkg": _in_points,
-    ".html": _in_page,
+class SummaryForm(NamedTuple):
+    """mark : a text that no other output has. inputs : gives those in a summary. write : as `write_summary`."""
+
+    mark: str
+    inputs: Callable[[Path], list[str]]
+    write: Callable[[Sequence[Row], Path, Path], None]
+
+
+SUMMARY_FORMS = {
+    ".csv": SummaryForm("input,exit_code,", _in_csv, _write_csv),
+    ".json": SummaryForm(SUMMARY_FORMAT, _in_json, _write_json),
+    ".gpkg": SummaryForm('"exit_code"', _in_points, _write_points),
+    ".html": SummaryForm(SUMMARY_FORMAT, _in_page, _write_page),
 }

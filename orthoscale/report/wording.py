@@ -34,12 +34,6 @@ def likely_fleets(fleets: Mapping[str, float]) -> str:
     return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
 
 
-def half_width(report: Mapping[str, Any]) -> float:
-    """Half of the 90 % interval, relative to the scale."""
-    low, high = report["interval90"]
-    return (high - low) / 2 / report["scale"]
-
-
 def within(report: Mapping[str, Any]) -> str:
     """The 90 % interval about the scale: "± 1.4 %", or "−2.2 to +3.0 %"."""
     text = interval_about(report["scale"], *report["interval90"])
@@ -52,8 +46,8 @@ def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]
     factor = 1.0
     if of_plan(report) and report["scale"] < 1:
         factor, unit = 100.0, "cm/px"
-    uncertainty = half_width(report) * report["scale"] * factor
-    places = decimals(uncertainty)
+    low, high = report["interval90"]
+    places = decimals((high - low) / 2 * factor)
     return [f"{value * factor:.{places}f}" for value in values], unit
 
 

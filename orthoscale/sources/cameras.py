@@ -12,23 +12,22 @@ from ..errors import InputError, UsageError
 from ..formats.geometry.poses import SPLAT_CAMERAS, camera_centres, read_poses, splat_centres
 from ..formats.geometry.text_models import SUFFIXES, image_names, read_text_model
 from .colmap_check import open_model
-from .colmap_write import read_model
+from .colmap_read import images_of, read_model
 from .exchange_files import find_exchange
 
 # How far cameras of one model may stand from those of another that counts as the same, as a share of the extent of the
 # cameras, or of the cameras and the origin. A model that was adjusted once more stays within it, another does not.
 ANOTHER_MODEL = 0.02
-MODELS = (".json", *SUFFIXES)  # endings of other programs' models
 SCALED_MARK = "sim3.txt"  # a folder with this file holds a model in metres
 
 
-def cameras_of(folder: Path) -> dict[str, np.ndarray]:
+def centres_of(folder: Path) -> dict[str, np.ndarray]:
     """(3,) centre of each camera of the COLMAP model in `folder`, by the name of its image. Raises InputError."""
     model = read_model(folder, open_model(folder).format)
-    return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
+    return {name: image.projection_center() for name, image in images_of(model).items()}
 
 
-def cameras_in(path: Path) -> dict[str, np.ndarray]:
+def centres_in(path: Path) -> dict[str, np.ndarray]:
     """The same for another program's model in the file `path`; empty for other files, and if image names are missing.
     Raises InputError for a damaged model."""
     if path.name == SPLAT_CAMERAS:
@@ -47,14 +46,14 @@ def cameras_in(path: Path) -> dict[str, np.ndarray]:
     return {name: centre for name, centre, known in zip(names, centres, there, strict=True) if known}
 
 
-def metric_cameras(folder: Path) -> dict[str, np.ndarray]:
+def metric_centres(folder: Path) -> dict[str, np.ndarray]:
     """Camera centres [m] of the scaled model in `folder`, of any format; empty if there is none. Raises InputError."""
     if not (folder / SCALED_MARK).is_file():
         return {}
     if any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
-        return cameras_of(folder)
+        return centres_of(folder)
     other = find_exchange(folder)
-    return {} if other is None else cameras_in(other)
+    return {} if other is None else centres_in(other)
 
 
 def refuse_another(

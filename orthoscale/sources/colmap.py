@@ -27,7 +27,8 @@ from .cameras import SCALED_MARK, refuse_another
 from .colmap_beside import copy_beside
 from .colmap_check import open_model
 from .colmap_dense import dense_of
-from .colmap_write import read_model, write_scaled
+from .colmap_read import images_of, read_model
+from .colmap_write import write_scaled
 from .consistency import check_consistency, loose_images
 from .database import pose_priors
 from .dense_cloud import DenseCloud, sparse_points
@@ -91,8 +92,9 @@ class ColmapSource:
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         loose = loose_images(model, files.seen)
-        notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen, loose)]
-        pictures = find_frames(model, files.folder, images, need_images, notes, loose)
+        consistency = check_consistency(files.folder, model, files.seen, loose)
+        pictures, missing = find_frames(model, files.folder, images, need_images, loose)
+        notes = [*informing(files.notes), *consistency, *missing]
         parts = tuple(tuple(name for name in part if name not in loose) for part in files.parts)
         parts = tuple(part for part in parts if len(part) > 1)
         if len(parts) > 1:
@@ -126,7 +128,7 @@ class ColmapSource:
     @property
     def points_and_cameras(self) -> tuple[np.ndarray, np.ndarray]:
         """(M, 3) points that several images see, and (C, 3) camera centres [model units]."""
-        return sparse_points(self._model), np.array(list(self._cameras.values()))
+        return sparse_points(self._model), np.array(list(self.centres.values()))
 
     @cached_property
     def parts(self) -> list[ColmapSource]:
@@ -154,7 +156,7 @@ class ColmapSource:
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
-        centres = np.array(list(self._cameras.values()))
+        centres = np.array(list(self.centres.values()))
         try:
             sparse = Ground.fit(points, centres)
         except InputError as error:
@@ -251,7 +253,7 @@ class ColmapSource:
 
     @cached_property
     def _from_origin(self) -> FromOrigin:
-        return FromOrigin.of(np.array(list(self._cameras.values())))
+        return FromOrigin.of(np.array(list(self.centres.values())))
 
     @cached_property
     def _georeferenced(self) -> str:
@@ -288,11 +290,10 @@ class ColmapSource:
 
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
-        images = (self._model.image(i) for i in self._model.reg_image_ids())
-        return {image.name: image for image in images if image.name not in self._loose}
+        return {name: image for name, image in images_of(self._model).items() if name not in self._loose}
 
     @cached_property
-    def _cameras(self) -> dict[str, np.ndarray]:
+    def centres(self) -> dict[str, np.ndarray]:
         """(3,) centre of each camera [model units, world], by the name of its image."""
         return {name: self.centre(name) for name in self.picture_names}
 
@@ -385,7 +386,7 @@ class ColmapSource:
     @cached_property
     def dense(self) -> Path:
         """The dense workspace that belongs to this model. Raises what `dense_of` raises."""
-        found, remarks = dense_of(self.folder, self._cameras, lambda: self.camera_height)
+        found, remarks = dense_of(self.folder, self.centres, lambda: self.camera_height)
         self.notes.extend(remarks)
         return found
 
@@ -411,7 +412,7 @@ def scale_model(
     model = ColmapSource.open(source, need_images=False)
     if model.by_orthoscale:
         raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
-    refuse_another(source, model._cameras, metric, scale)
+    refuse_another(source, model.centres, metric, scale)
     model.write(target, scale)
 
 

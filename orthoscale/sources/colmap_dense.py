@@ -11,7 +11,7 @@ import numpy as np
 from ..core.remarks import Remark
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import find_dense, sparse_folders
-from .cameras import cameras_of
+from .cameras import centres_of
 from .dense_cloud import check_workspace
 
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
@@ -42,7 +42,7 @@ def dense_of(
     for sparse in undistorted:
         if os.path.realpath(sparse) == os.path.realpath(folder):
             continue
-        there = cameras_of(sparse)
+        there = centres_of(sparse)
         apart = [float(np.linalg.norm(cameras[name] - there[name])) for name in cameras if name in there]
         if not apart or max(apart) > SAME_CAMERA * camera_height():
             raise InputError(

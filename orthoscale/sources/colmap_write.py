@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, OutputError
 from ..formats.geometry.sim3 import Sim3
 from .colmap_check import check_model
+from .colmap_read import read_model
 
 if TYPE_CHECKING:
     import pycolmap
@@ -17,36 +18,6 @@ if TYPE_CHECKING:
 POSITION = 1e-9  # how far rounding may move a point or a camera, as a share of the model's size
 REPROJECTION = 1e-9  # [px] how far rounding may move a projection in a model near its origin
 ROUNDINGS = 64  # rounding error from file to pixel, at most, in machine epsilons of the coordinates
-
-
-def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
-    """The model in `folder` of the format `form` ('bin' or 'txt'), whose files have been checked before.
-
-    Raises InputError for one that pycolmap cannot read or that has no registered image.
-    """
-    from .colmap_library import pycolmap
-
-    model = pycolmap.Reconstruction()
-    try:
-        model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
-    except Exception as error:  # whatever its C++ code and the bindings throw
-        raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
-    if not model.num_reg_images():
-        raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
-    # Other programs write quaternions with few digits; pycolmap normalises them when it scales, but not when it reads.
-    for frame in model.frames.values():
-        pose = frame.rig_from_world
-        frame.rig_from_world = pycolmap.Rigid3d(_unit(pose.rotation), pose.translation)
-    for rig in model.rigs.values():
-        for sensor, pose in rig.non_ref_sensors.items():
-            if pose is not None:
-                rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(_unit(pose.rotation), pose.translation))
-    return model
-
-
-def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
-    rotation.normalize()
-    return rotation
 
 
 def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder: Path, scale: float) -> None:
@@ -71,28 +42,32 @@ def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder
         written = read_model(folder, form)
     except InputError as error:
         raise OutputError(f"{error.message} (just written)", "The disk may be full. Nothing was kept.") from error
-    problem = difference(model, written, scale)
-    if problem:
-        raise OutputError(f"{folder}: the written model differs: {problem}", "Please report this with the model.")
+    require_same(model, written, scale, folder)
 
 
-def difference(
-    model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float, position: float = POSITION
-) -> str:
-    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does.
+def require_same(
+    model: pycolmap.Reconstruction,
+    written: pycolmap.Reconstruction,
+    scale: float,
+    out: Path,
+    position: float = POSITION,
+) -> None:
+    """Raise OutputError if the model `written` to `out` differs from `model` scaled by `scale`.
 
     position : by how much a point or a camera may be off, as a share of the model's size.
     """
-    return (
+    problem = (
         _other_contents(model, written)
         or _moved(model, written, scale, position)
         or _seen_otherwise(model, written, scale)
     )
+    if problem:
+        raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
 
 
 def _other_contents(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction) -> str:
-    """As `difference`, of what the scale does not change: the numbers of everything, the cameras, the sensors of rigs,
-    and which images are registered."""
+    """What differs, in words, or '', of what the scale does not change: the numbers of everything, the cameras, the
+    sensors of rigs, and which images are registered."""
     for what in ("cameras", "images", "points3D", "frames", "rigs"):
         if set(getattr(model, what)) != set(getattr(written, what)):
             return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
@@ -112,7 +87,7 @@ def _other_contents(model: pycolmap.Reconstruction, written: pycolmap.Reconstruc
 
 
 def _moved(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float, position: float) -> str:
-    """As `difference`, of the positions of points, cameras and sensors, and of the points' stored errors."""
+    """The same of the positions of points, cameras and sensors, and of the points' stored errors."""
     # This includes sensors without images, whose positions cannot be checked by cameras.
     places, new_places = (_sensor_places(m) for m in (model, written))
     sensors, new_sensors = (np.array([p[key] for key in sorted(places)]).reshape(-1, 3) for p in (places, new_places))
@@ -132,7 +107,7 @@ def _moved(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, sca
 
 
 def _seen_otherwise(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
-    """As `difference`, of the images' names, of which points they observe, and of where they project these."""
+    """The same of the images' names, of which points they observe, and of where they project these."""
     ids = np.array(sorted(model.points3D))
     points = np.array([model.points3D[number].xyz for number in ids])
     for i in model.reg_image_ids():

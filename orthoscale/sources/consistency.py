@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
+from .colmap_read import images_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -81,7 +82,7 @@ def loose_images(model: pycolmap.Reconstruction, seen: Observations) -> frozense
     """Names of the images whose places in `model` hardly any of the observations `seen` hold, so that they may stand
     anywhere. Images of one frame of a rig hold each other."""
     count = dict(zip(seen.names, np.bincount(seen.image, minlength=len(seen.names)).tolist(), strict=True))
-    images = [model.image(number) for number in model.reg_image_ids()]
+    images = list(images_of(model).values())
     held = Counter({image.frame_id: 0 for image in images})
     for image in images:
         held[image.frame_id] += count.get(image.name, 0)
@@ -97,8 +98,8 @@ def check_consistency(
     Raises InputError, naming cameras or images and their errors, for a model whose points project elsewhere than they
     were seen, and for one whose cameras all stand in one place. What its `loose_images` show does not count.
     """
-    every = [model.image(number) for number in model.reg_image_ids()]
-    images = {image.name: image for image in every if image.name not in loose}
+    every = images_of(model)
+    images = {name: image for name, image in every.items() if name not in loose}
     seen = seen.without(loose)
     centres = np.array([image.projection_center() for image in images.values()])
     if len(seen.image):

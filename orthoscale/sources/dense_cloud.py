@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.progress import Progress
 from ..core.remarks import CAUTION, INFO, Remark
 from ..errors import InputError
@@ -27,7 +28,7 @@ from ..formats.reading import absent
 from ..system.paths import homes
 from .cloud_fit import FEWEST_NEAR, cloud_fit
 from .colmap_check import open_model
-from .colmap_write import read_model
+from .colmap_read import images_of, read_model
 
 if TYPE_CHECKING:
     import pycolmap
@@ -145,7 +146,7 @@ def _depth_maps(workspace: Path) -> list[Path]:
 def _undistorted(sparse: Path) -> tuple[pycolmap.Reconstruction, dict[str, pycolmap.Image]]:
     """The model in the folder `sparse`, and its registered images by name. Raises InputError."""
     model = read_model(sparse, open_model(sparse).format)
-    return model, {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    return model, images_of(model)
 
 
 def _image_of(path: Path, workspace: Path) -> str:
@@ -170,8 +171,8 @@ def _check_depth_maps(
     if not known:
         raise _of_no_image(maps[0], sparse)
     ratios = []
-    for k in np.linspace(0, len(known) - 1, min(MAPS_COMPARED, len(known))).astype(int):
-        depth, image = read_depth_map(known[k]), images[_image_of(known[k], workspace)]
+    for path in (known[k] for k in evenly(len(known), MAPS_COMPARED)):
+        depth, image = read_depth_map(path), images[_image_of(path, workspace)]
         points = [model.point3D(seen.point3D_id).xyz for seen in image.points2D if seen.has_point3D()]
         pose, camera = image.cam_from_world(), model.camera(image.camera_id)
         local = np.array(points).reshape(-1, 3) @ pose.rotation.matrix().T + pose.translation

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..formats.geometry.text_models import SUFFIXES
 
+MODEL_SUFFIXES = (".json", *SUFFIXES)  # of other programs' models
 MODEL_FILES = (
     "reconstruction.json",
     "opensfm/reconstruction.json",
@@ -18,7 +19,7 @@ MODEL_FILES = (
 
 def find_exchange(path: Path) -> Path | None:
     """Another program's file: `path` itself, or one in the folder `path` if that holds no COLMAP model; else None."""
-    if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
+    if path.suffix.lower() in MODEL_SUFFIXES and path.is_file():
         return path
     if not path.is_dir():
         return None

@@ -77,6 +77,12 @@ def content_hash(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 in hex of the whole content of a file. Raises InputError."""
+    with _reading(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def fingerprint(paths: Iterable[Path]) -> str:
     """SHA-256 in hex of the files' contents; for a file above 4 MiB, of its size, its time of change and 64 pieces.
 

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.source import FocalDoubt
 from ..errors import InputError
+from .colmap_read import cameras_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -43,7 +45,7 @@ HELD = 1e-9  # regularisation, as a share of each diagonal element: poses are kn
 SYSTEMATIC = 10.0
 OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the lean of vehicles is off by as much
 FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
-FOCAL_FRAMES = 12  # whose EXIF is read
+FOCAL_FRAMES = 12  # whose EXIF is read, spread evenly over the model: its lens may change on the way
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LONGEST_LENS = 2.5  # longer sides of the picture: 90 mm on full frame; aerial cameras have two at most
 LENS_UNKNOWNS = 3  # columns shared by all images of a camera: focal length, and two of radial distortion
@@ -67,7 +69,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
         f"the frames {known}, as is usual for flat ground, above all "
         "from straight above: vehicles are measured as footprints on the ground; do not trust heights in this model"
     )
-    if told is None:
+    if not told:
         return FocalDoubt(1.0, sd, what)
     log_ratio = np.log([lens.focal_px / has for _, lens, has in told])
     by_lens = max(float(np.median([lens.sd for _, lens, _ in told])), float(np.std(log_ratio)))
@@ -85,7 +87,7 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
 
 def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputError:
     """The `error` that no ground was found, or, if a focal length of `model` ran away, one that names it."""
-    cameras = [model.camera(model.image(number).camera_id) for number in model.reg_image_ids()]
+    cameras = cameras_of(model).values()
     sides, longest = max((c.mean_focal_length() / max(c.width, c.height), c.camera_id) for c in cameras)
     if sides < LONGEST_LENS:
         return error
@@ -97,32 +99,34 @@ def without_ground(model: pycolmap.Reconstruction, error: InputError) -> InputEr
     )
 
 
-def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
-    """Name, lens, and the model's focal length [px] of some frames whose tags describe their lens; None without any."""
+def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]]:
+    """Name, lens, and the model's focal length [px] of some frames whose tags describe their lens."""
     from .lens import lens_of
     from .tags import read_tags
 
-    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
+    cameras = cameras_of(model)
     found = []
-    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
+    for picture in (pictures[k] for k in evenly(len(pictures), FOCAL_FRAMES)):
         try:
             found.append((picture.name, lens_of(read_tags(picture.path)), cameras[picture.name].mean_focal_length()))
         except InputError:  # without a lens in its tags, or damaged, which its reader will report
             continue
-    return found or None
+    return found
 
 
-def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
-    """A note if most tags give focal lengths far from the model's."""
+def _far(
+    told: list[tuple[str, Lens, float]],
+    so: str = ": flat scenes leave it open; heights are then off by as much, the scale hardly",
+) -> str:
+    """A note if most tags give focal lengths far from the model's. so : what follows from that."""
     far = [
         (abs(has / lens.focal_px - 1), name, lens, has)
-        for name, lens, has in told or []
+        for name, lens, has in told
         if abs(has / lens.focal_px - 1) > max(FOCAL_FAR, 2 * lens.sd)
     ]
-    if 2 * len(far) <= len(told or []):
+    if 2 * len(far) <= len(told):
         return ""
     _, name, lens, has = max(far, key=lambda each: each[0])
-    so = so or ": flat scenes leave it open; heights are then off by as much, the scale hardly"
     return (
         f"{name} has a focal length of {lens.focal_px:.0f} px ({lens.source}), the model {has:.0f} px "
         f"({100 * (has / lens.focal_px - 1):+.0f} %){so}"
@@ -196,7 +200,7 @@ class _Block:
         if not numbers:
             return None
         rank = {number: k for k, number in enumerate(numbers)}
-        numbers = _some_of(numbers, MOST_IMAGES)
+        numbers = [numbers[k] for k in evenly(len(numbers), MOST_IMAGES)]
         tracks = list(islice(_in_sight(model, numbers) if by_sight else _tracked(model, numbers, rank), MOST_TRACKS))
         tracks, numbers = _held(tracks, numbers)
         if len(tracks) < LEAST_TRACKS:
@@ -257,8 +261,8 @@ def _tracked(model: pycolmap.Reconstruction, numbers: list[int], rank: Mapping[i
 
 def _in_sight(model: pycolmap.Reconstruction, numbers: list[int]) -> Iterator[_Track]:
     """The same of points that three or more of the images have in sight, distortion aside."""
-    some = _some_of(sorted(model.point3D_ids()), MOST_TRACKS)
-    points = np.array([model.point3D(number).xyz for number in some]).reshape(-1, 3)
+    every = sorted(model.point3D_ids())
+    points = np.array([model.point3D(every[k]).xyz for k in evenly(len(every), MOST_TRACKS)]).reshape(-1, 3)
     seen = np.zeros((len(points), len(numbers)), bool)
     for k, number in enumerate(numbers):
         image = model.image(number)
@@ -278,11 +282,6 @@ def _held(tracks: list[_Track], numbers: list[int]) -> tuple[list[_Track], list[
     new = np.cumsum(held) - 1
     left = [(xyz, new[where[held[where]]], error) for xyz, where, error in tracks]
     return [each for each in left if len(each[1]) >= 3], [n for n, ok in zip(numbers, held, strict=True) if ok]
-
-
-def _some_of(numbers: list[int], most: int) -> list[int]:
-    """Some of the numbers, `most` at most, evenly chosen."""
-    return [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, most).astype(int))] if numbers else []
 
 
 def _longest_first(points: Iterable[pycolmap.Point3D], rank: Mapping[int, int]) -> Iterator[pycolmap.Point3D]:

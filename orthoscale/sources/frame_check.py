@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.evenly import evenly
 from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..errors import InputError
+from .colmap_read import images_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -55,8 +57,8 @@ class _ZoomFit:
 
 def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
     """Remarks on `pictures`, the frames of `model`, if they do not show its points, or show them elsewhere."""
-    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    chosen = _spread(pictures, FRAMES_COMPARED)
+    images = images_of(model)
+    chosen = [pictures[k] for k in evenly(len(pictures), FRAMES_COMPARED)]
     fits = [fit for picture in chosen if (fit := _fitted(model, images[picture.name], picture)) is not None]
     if not fits:
         return []
@@ -82,7 +84,8 @@ def _on_strangers(
     model: pycolmap.Reconstruction, images: Mapping[str, pycolmap.Image], pictures: Sequence[PictureFile]
 ) -> list[Remark]:
     """A caution on single ones among the model's own frames that do not show its points."""
-    each = [(p, _own(model, images[p.name], p)) for p in _spread(pictures, FRAMES_GLANCED_AT)]
+    chosen = [pictures[k] for k in evenly(len(pictures), FRAMES_GLANCED_AT)]
+    each = [(picture, _own(model, images[picture.name], picture)) for picture in chosen]
     known = [(picture, own) for picture, own in each if own is not None]
     if not (strangers := [picture for picture, own in known if own < OWN_FRAMES]):
         return []
@@ -150,11 +153,6 @@ def _likeness(pixels: np.ndarray, place: np.ndarray, colours: np.ndarray) -> flo
     if 2 * inside.sum() < len(place) or min(colours[inside].std(), shown.std()) < LEAST_CONTRAST:
         return None
     return float(np.corrcoef(colours[inside], shown)[0, 1])
-
-
-def _spread(pictures: Sequence[PictureFile], most: int) -> list[PictureFile]:
-    """At most `most` of the `pictures`, spread over all."""
-    return [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, min(most, len(pictures)))]
 
 
 def _highest(likeness: Callable[[float, float], float]) -> tuple[float, float]:

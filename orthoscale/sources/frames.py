@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..formats.geometry.beside import file_in
 from ..formats.names import composed
 from ..system.paths import homes
+from .colmap_read import cameras_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -29,33 +30,30 @@ def find_frames(
     folder: Path,
     images: Path | str | None,
     need_images: bool,
-    notes: list[Remark],
-    without: Collection[str] = (),
-) -> list[PictureFile]:
-    """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; adds to
-    `notes`. See `ColmapSource.open`."""
-    images_of_model = (model.image(number) for number in model.reg_image_ids())
-    registered = {image.name: image for image in images_of_model if image.name not in without}
-    place_of = dict(zip(sorted(registered), places_of(sorted(registered)), strict=True))
+    without: Collection[str],
+) -> tuple[list[PictureFile], list[Remark]]:
+    """The frames of `model`, which lies in `folder`, that are on disk, but those of the images `without`; and remarks
+    on those that are not. See `ColmapSource.open`."""
+    cameras = {name: camera for name, camera in cameras_of(model).items() if name not in without}
+    place_of = dict(zip(sorted(cameras), places_of(sorted(cameras)), strict=True))
     try:
         root, missing = image_folder(folder, Path(images) if images is not None else None, list(place_of.values()))
     except InputError as error:
         if need_images or images is not None:
             raise
         so = "without frames no anchors are searched for, and the report has no close-ups of vehicles"
-        notes.append(Remark(INFO, f"{error.message}; {so}"))
-        return []
-    if missing:
-        text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
-        notes.append(Remark(CAUTION, text))
+        return [], [Remark(INFO, f"{error.message}; {so}")]
     pictures = []
     lacking = set(missing)
     for name, place in place_of.items():
         if place not in lacking:
-            camera = model.camera(registered[name].camera_id)
-            pictures.append(PictureFile(name, file_in(root, place) or root / place, camera.width, camera.height))
+            size = cameras[name].width, cameras[name].height
+            pictures.append(PictureFile(name, file_in(root, place) or root / place, *size))
             pictures[-1].check_size()
-    return pictures
+    if not missing:
+        return pictures, []
+    text = f"{len(missing)} of {len(cameras)} frames are not in {root}, the first is {missing[0]}"
+    return pictures, [Remark(CAUTION, text)]
 
 
 def places_of(names: Sequence[str]) -> list[str]:

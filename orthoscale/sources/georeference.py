@@ -28,6 +28,7 @@ MOST_MISFIT = 0.02
 # EPSG:3035, an equal-area projection of a continent, has 2.4 at its edges; maps of the world, and rotated ones in
 # degrees, have tens.
 MOST_LEANING = 5.0
+NO_GEOREFERENCE = "not georeferenced"  # `Claim.why` of a picture that says nothing of its place and scale
 NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
@@ -91,7 +92,7 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
             return _claim_of_gcps(dataset)
         if dataset.rpcs:
             return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
-        return Claim(None, False, "not georeferenced")
+        return Claim(None, False, NO_GEOREFERENCE)
     across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
     size = math.sqrt(abs(t.determinant))
     if size == 0 or not math.isfinite(across * down):
@@ -225,10 +226,9 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     """
     wide, high = gsd_m * math.sqrt(claim.aspect), gsd_m / math.sqrt(claim.aspect)
     said = "local metres, origin at the lower left corner"
-    t = claim.transform
     if claim.usable:
         said += f"; the georeferencing of the input ({claim.why}) is not kept (--keep-origin keeps its place)"
-    elif t is not None or "not georeferenced" not in claim.why:
+    elif claim.why != NO_GEOREFERENCE:
         said += f"; the georeferencing of the input is neither used nor kept: {claim.why}"
     if claim.mirrored:
         return CopyGeoreference(

@@ -19,6 +19,12 @@ class Grid:
     spacing: float
     shape: tuple[int, int]
 
+    @classmethod
+    def covering(cls, low: np.ndarray, high: np.ndarray, spacing: float) -> Grid:
+        """The grid of this `spacing` from the corner `low` (2,) to `high` (2,) or a little beyond."""
+        nx, ny = np.maximum(np.ceil((high - low) / spacing).astype(int) + 1, 4).tolist()
+        return cls(low, spacing, (nx, ny))
+
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """(nx,) and (ny,) coordinates of the nodes."""

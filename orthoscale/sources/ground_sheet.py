@@ -79,8 +79,7 @@ class Sheet:
         area = np.prod(right - left)
         spacing = max(0.1 * height, np.sqrt(area / MAX_NODES), np.sqrt(2 * area / len(points)))
         left, right = left - REACHES_BEYOND * height, right + REACHES_BEYOND * height
-        shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)
-        grid = Grid(left, spacing, (int(shape[0]), int(shape[1])))
+        grid = Grid.covering(left, right, spacing)
 
         heights = _lowest(grid, points, height)
         at = grid.interpolation(points[:, :2])
@@ -209,8 +208,7 @@ def _doubt(ground: np.ndarray, noise: float, left: np.ndarray, right: np.ndarray
     the energy over WANDER squared. Points have errors of `noise`, correlated for points of one node, as in `Sheet.fit`.
     """
     spacing = float(np.sqrt(np.prod(right - left) / MOST_DOUBTED))
-    shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)
-    grid = Grid(left, spacing, (int(shape[0]), int(shape[1])))
+    grid = Grid.covering(left, right, spacing)
     at = grid.interpolation(ground)
     held = at.T.multiply(1 / (noise**2 * grid.crowding(ground))) @ at
     stiff = grid.bending / (WANDER * spacing) ** 2

@@ -26,6 +26,7 @@ from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import cloud_name, read_poses
 from ..formats.reading import reason
 from .colmap_check import FARTHEST
+from .colmap_read import cameras_of
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
@@ -66,8 +67,9 @@ class ExchangeSource(OneFileSource):
         model, others, said, tracks = _read(path)
         seen = _seen(path, model, tracks)
         loose = loose_images(model, seen)
-        notes = [*informing(said), *check_consistency(path, model, seen, loose)]
-        pictures = find_frames(model, path.parent, images, need_images, notes, loose)
+        consistency = check_consistency(path, model, seen, loose)
+        pictures, missing = find_frames(model, path.parent, images, need_images, loose)
+        notes = [*informing(said), *consistency, *missing]
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))
         found = path.parent, "json", pictures, notes, (path, *others), model
@@ -142,9 +144,9 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
     tracks : of the model's points, in their order. The lines hold image, track, feature, x, y and more, separated by
     tabs; x and y are in units of `_opensfm`. Other lines are skipped.
     """
-    images = {image.name: model.camera(image.camera_id) for image in model.images.values()}
+    cameras = cameras_of(model)
     points = {track: k for k, track in enumerate(tracks)}
-    found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in images}
+    found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in cameras}
     for line in _some_lines(path.with_name("tracks.csv")) if points else ():
         name, track, _, x, y, *_ = [*line.split("\t"), *[""] * 5]
         if name in found and track in points:
@@ -154,13 +156,13 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
     pairs = []
     for (name, seen), some in zip(found.items(), some_of_each([len(v) for v in found.values()]), strict=True):
         x, y, number = np.array(seen, float).reshape(-1, 3)[some].T
-        size = np.array([images[name].width, images[name].height])
+        size = np.array([cameras[name].width, cameras[name].height])
         pairs.append((np.column_stack([x, y]) * size.max() + size / 2, place[number.astype(int)]))
-    return observations(list(images), pairs)
+    return observations(list(cameras), pairs)
 
 
 def _some_lines(path: Path) -> Iterator[str]:
-    """The lines of a text file; of a long one some thousands, spread over it. None if the file is missing."""
+    """The lines of a text file; of a long one some thousands, spread over it; of a missing one, nothing."""
     try:
         with path.open("rb") as file:
             size = path.stat().st_size

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..errors import OutputError, UsageError
 from ..formats.geometry.sim3 import Sim3
 from .colmap import ColmapSource
-from .colmap_write import difference
+from .colmap_write import require_same
 from .fingerprint import require_unchanged
 
 if TYPE_CHECKING:
@@ -41,9 +41,7 @@ class OneFileSource(ColmapSource):
             sim3.save(folder)
         except OSError as error:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
-        problem = difference(self._model, self._read_back(out), sim3.scale, DIGITS)
-        if problem:
-            raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+        require_same(self._model, self._read_back(out), sim3.scale, out, DIGITS)
         self._tell_moved(sim3.scale)
 
     @abstractmethod

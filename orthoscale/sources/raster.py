@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import shutil
 import threading
@@ -28,7 +27,7 @@ from ..formats.points import pixel
 from ..formats.reading import absent
 from ..system.budget import in_words
 from ..system.scratch import Scratch
-from .fingerprint import Stamp, another, fingerprint, require_unchanged
+from .fingerprint import Stamp, another, file_hash, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, IN_UTF8, can_find, files_of, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place, other_claims
 from .raster_blocks import RasterBlocks
@@ -201,11 +200,7 @@ class RasterSource:
         """SHA-256 of the file on disk, in hex; of a VRT, not of the files that it refers to. Raises InputError if one
         of its files was changed since it was opened: the hash would be that of data that was not used."""
         self._require_unchanged()
-        try:
-            with self.path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+        digest = file_hash(self.path)
         self._require_unchanged()
         return digest
 

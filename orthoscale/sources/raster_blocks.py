@@ -72,8 +72,7 @@ class RasterBlocks:
 
     def written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
         """Bool of shape `out`: where the `window`, resampled to that shape, shows blocks that were ever written."""
-        if self.written is None:
-            return np.ones(out, bool)
+        assert self.written is not None, "asked before"
         rows, columns = self.shape
         y = window.row_off + (np.arange(out[0]) + 0.5) * window.height / out[0]
         x = window.col_off + (np.arange(out[1]) + 0.5) * window.width / out[1]

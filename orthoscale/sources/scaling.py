@@ -13,7 +13,7 @@ from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
 from ..formats.geometry.files import WrittenFiles, scale_file
 from ..formats.reading import absent
-from .cameras import SCALED_MARK, cameras_in, refuse_another
+from .cameras import SCALED_MARK, centres_in, refuse_another
 from .colmap import ColmapSource, scale_model, scale_workspace
 from .colmap_find import model_folders
 from .dense_cloud import check_workspace
@@ -54,7 +54,7 @@ def scale_path(
     if not source.is_dir():
         notes = scale_file(source, target, scale, others)
         if metric:
-            refuse_another(source, cameras_in(source), metric, scale)
+            refuse_another(source, centres_in(source), metric, scale)
         return notes
     if is_dense(source):
         remarks = [str(remark) for remark in check_workspace(source)]

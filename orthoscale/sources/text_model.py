@@ -16,6 +16,7 @@ from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, image_names, read_text_model
+from .colmap_read import cameras_of
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
 from .frames import find_frames, image_folder, places_of
@@ -51,7 +52,8 @@ class TextSource(OneFileSource):
         seen = _observations(text, names, model)
         loose = loose_images(model, seen)
         notes += check_consistency(path, model, seen, loose)
-        pictures = find_frames(model, path.parent, root, need_images, notes, loose)
+        pictures, remarks = find_frames(model, path.parent, root, need_images, loose)
+        notes += remarks
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
         return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
 
@@ -62,8 +64,7 @@ class TextSource(OneFileSource):
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
-        cameras = {image.name: self._model.camera(image.camera_id) for image in self._model.images.values()}
-        sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
+        sizes = {name: (camera.width, camera.height) for name, camera in cameras_of(self._model).items()}
         return _built(out, text, _names(out, text)[0], sizes)
 
 
@@ -84,7 +85,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruction) -> Observations:
     """A sample of the observations of the images of `model`."""
-    cameras = {image.name: model.camera(image.camera_id) for image in model.images.values()}
+    cameras = cameras_of(model)
     order = np.argsort(text.seen[:, 0], kind="stable")
     each = np.split(text.seen[order, 1:], np.searchsorted(text.seen[order, 0], np.arange(1, len(names))))
     of = {name: seen for name, seen in zip(names, each, strict=True) if name in cameras}

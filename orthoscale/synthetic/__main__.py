@@ -1,9 +1,9 @@
-"""Synthetic surveys with exact truth: an orthophoto, a COLMAP model with its frames, or labels for training."""
+"""Synthetic surveys with exact truth: an orthophoto, a COLMAP model with its frames, data sets, or training labels."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import OrthoscaleError
@@ -11,8 +11,14 @@ from ..fleets import load_fleet
 from ..system import stopping
 from ..system.outputs import Outputs
 from ..system.signatures import ours
-from . import STYLES, make_scene, write_colmap, write_labels, write_ortho
+from . import STYLES, Scene, make_scene, write_colmap, write_labels, write_ortho
 from .folders import write_csv, write_denseuav, write_visloc
+
+DATA_SETS: dict[str, tuple[Callable[[Scene, Path], None], str]] = {
+    "denseuav": (write_denseuav, "a folder as DenseUAV has it: photos named by their altitude, and detections.json"),
+    "visloc": (write_visloc, "a folder as UAV-VisLoc+ has it: regions with poses, camera.xml and a surface model"),
+    "csv": (write_csv, "photos with photos.csv"),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -30,17 +36,7 @@ def main(arguments: list[str] | None = None) -> None:
     model.add_argument("--size", type=int, nargs=2, default=(1000, 750), metavar=("WIDTH", "HEIGHT"), help="pixels")
     model.add_argument("--k1", type=float, default=0.0, help="radial distortion")
     model.add_argument("--text", action="store_true", help="write .txt instead of .bin")
-    folders = {
-        "denseuav": "a folder as DenseUAV has it: photos named by their altitude, and detections.json",
-        "visloc": "a folder as UAV-VisLoc+ has it: regions with poses, camera.xml and a surface model",
-        "csv": "photos with photos.csv",
-    }
-    folder_writers: dict[str, Callable[..., None]] = {
-        "denseuav": write_denseuav,
-        "visloc": write_visloc,
-        "csv": write_csv,
-    }
-    sets = [commands.add_parser(name, help=text) for name, text in folders.items()]
+    sets = [commands.add_parser(name, help=text) for name, (_, text) in DATA_SETS.items()]
     labels = commands.add_parser("labels", help="a folder with images/ and labels.json")
     labels.add_argument("--count", type=int, default=240)
     for command in (ortho, model, *sets):
@@ -57,14 +53,14 @@ def main(arguments: list[str] | None = None) -> None:
     a = parser.parse_args(arguments)
     try:
         with stopping.listening():
-            _write(a, folder_writers)
+            _write(a)
     except KeyboardInterrupt:
         parser.exit(stopping.exit_code(), stopping.sentence() + "\n")
     except OrthoscaleError as error:
         parser.exit(error.exit_code, f"error: {error.message}\n{error.hint}\n")
 
 
-def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., None]]) -> None:
+def _write(a: argparse.Namespace) -> None:
     fleet = load_fleet(a.fleet) if a.fleet else None
     a.out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with Outputs(a.overwrite, Path(a.fleet) if str(a.fleet).endswith(".json") else None) as outputs:
@@ -81,8 +77,9 @@ def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., Non
         if a.command == "ortho":
             write_ortho(scene, picture, a.gsd, a.seed)
             picture.with_suffix(".truth.json").replace(truth)
-        elif a.command in folder_writers:
-            folder_writers[a.command](scene, folder)
+        elif a.command in DATA_SETS:
+            write, _ = DATA_SETS[a.command]
+            write(scene, folder)
         else:
             width, height = a.size
             view = (a.frames, a.pitch, a.altitude, a.focal, width, height)

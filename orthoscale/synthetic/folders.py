@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 import rasterio
 from rasterio.transform import from_origin
+from scipy.spatial.transform import Rotation
 
 from ..core.boxes import Boxes
 from ..core.detections import Detections
@@ -107,11 +108,7 @@ def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, 
 def survey_rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
     """(3, 3) world (east, north, up) to camera axes, from the angles of photogrammetry programs [deg]: the picture's
     top to the north and straight down at zero; yaw clockwise, pitch lifts the nose, roll drops the right wing."""
-    y, p, r = np.radians([-yaw, pitch, roll])
-    turn = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
-    nod = np.array([[1, 0, 0], [0, np.cos(p), -np.sin(p)], [0, np.sin(p), np.cos(p)]])
-    bank = np.array([[np.cos(r), 0, np.sin(r)], [0, 1, 0], [-np.sin(r), 0, np.cos(r)]])
-    return np.diag([1.0, -1.0, -1.0]) @ (turn @ nod @ bank).T
+    return np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix().T
 
 
 def _photo(scene: Scene, camera: Camera, pose: Pose, path: Path, seed: int, pictures: bool) -> Boxes:

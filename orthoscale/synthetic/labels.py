@@ -86,7 +86,7 @@ def write_labels(
     """Write `count` pictures, of scenes of one `style` or of any, to ``folder/images``, and their labels to
     ``folder/labels.json``; returns the path of that."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    path, entries = folder / "labels.json", []
+    entries = []
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         view, extent, gsd = random_view(rng, size)
@@ -107,6 +107,6 @@ def write_labels(
                 "boxes": labelled_boxes(scene, view, owner),
             }
         )
-        if i % 20 == 19 or i == count - 1:
-            path.write_text(json.dumps({"images": entries}, indent=1))
+    path = folder / "labels.json"
+    path.write_text(json.dumps({"images": entries}, indent=1))
     return path

@@ -6,6 +6,7 @@ Sizes are the usual commercial ones, drawn once for a whole row if real rows are
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from .mesh import (
     faces,
     gable,
     join,
+    loft,
     patch,
     prism,
     rectangle,
@@ -108,7 +110,7 @@ def crowded_roof(rng: np.random.Generator, length: float, width: float) -> Thing
     parts = [prism(rectangle(length, width), 0, eaves, ("facade", tinted(rng, (0.45, 0.41, 0.36))), covering)]
     cuts = np.r_[0, np.sort(rng.uniform(0.2, 0.8, rng.integers(0, 3))), 1] * (length - 1.6) - (length - 1.6) / 2
     filling = pick(rng, [panels, roof_machines], [0.7, 0.3])
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in pairwise(cuts):
         room = b - a - 0.8, width - 1.6
         if min(room) < 2:
             continue
@@ -188,8 +190,7 @@ def tanks(rng: np.random.Generator) -> Maker:
                 at_height(rounded(size[0], size[1] * np.sin(t), 0.15, 0.15), size[1] / 2 * (1 - np.cos(t)))
                 for t in ring
             ]
-            shells = [faces(np.stack([lo, np.roll(lo, -1, 0), np.roll(hi, -1, 0), hi], 1), "plain", colour, 0.3)
-                      for lo, hi in zip(bands[:-1], bands[1:], strict=True)]  # fmt: skip
+            shells = [loft(low, high, "plain", colour, 0.3) for low, high in pairwise(bands)]
             return Thing(join([*shells, faces(bands[-1], "plain", colour, 0.3)]), *size)
         body = prism(disc(radius, 12), 0, rng.uniform(0.6, 1.6) * radius, ("plain", colour * 0.8), ("plain", colour))
         return Thing(body, *size)
@@ -208,16 +209,6 @@ def bins(rng: np.random.Generator) -> Maker:
         return Thing(prism(rectangle(length, width), 0.05, 1.3, ("plain", tone), lid), length, width)
 
     return one
-
-
-def stacked_containers(_: np.random.Generator) -> Maker:
-    """Containers of any colour, side by side."""
-    return container
-
-
-def boats(_: np.random.Generator) -> Maker:
-    """Boats of any size at their moorings."""
-    return boat
 
 
 def outlines(rng: np.random.Generator) -> Maker:
@@ -250,6 +241,7 @@ def bushes(rng: np.random.Generator) -> Maker:
     return bush
 
 
-IN_ROWS: tuple[Callable[[np.random.Generator], Maker], ...] = (
-    graves, tents, bales, tanks, bins, stacked_containers, boats, outlines, bushes,
-)  # fmt: skip
+# Containers have any colour, and boats any size, within a row too.
+IN_ROWS: list[Callable[[np.random.Generator], Maker]] = [
+    graves, tents, bales, tanks, bins, lambda _: container, lambda _: boat, outlines, bushes,
+]  # fmt: skip

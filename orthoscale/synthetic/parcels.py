@@ -214,7 +214,7 @@ def _rows(site: Site, x: Span, y: Span) -> None:
     """Similar things in rows: graves, tents, bales, tanks, bins, containers, boats, painted outlines, bushes."""
     rng = site.rng
     site.lay(x, y, 1, pick(rng, [*site.greens, *site.earths, site.concrete, site.asphalt]))
-    _row_things(site, pick(rng, list(lookalikes.IN_ROWS))(rng), x, y)
+    _row_things(site, pick(rng, lookalikes.IN_ROWS)(rng), x, y)
 
 
 def _marina(site: Site, x: Span, y: Span) -> None:
@@ -267,7 +267,8 @@ def _furnish(site: Site, x: Span, y: Span, trees: float, small: float) -> None:
         if min(x[1] - x[0], y[1] - y[0]) > 2 * radius + 0.4:
             site.tree(*site.somewhere(x, y, radius), radius)
     for _ in range(min(rng.poisson(small * area), 30)):
-        site.put(things.small_thing(rng), *site.somewhere(x, y, 0.8), rng.uniform(0, 2 * np.pi))
+        thing = pick(rng, things.SMALL_THINGS)(rng)
+        site.put(thing, *site.somewhere(x, y, 0.8), rng.uniform(0, 2 * np.pi))
 
 
 Use = Callable[[Site, Span, Span], None]

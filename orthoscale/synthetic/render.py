@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -94,7 +95,7 @@ def _spans(pixels: np.ndarray, width: int, height: int) -> Iterator[tuple[np.nda
     polygon, row, left, count = polygon[keep], row[keep], left[keep], (right - left)[keep]
     portion = np.cumsum(count) // FRAGMENTS_AT_ONCE
     cuts = [0, *(np.flatnonzero(np.diff(portion)) + 1), len(count)]
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in pairwise(cuts):
         yield polygon[a:b], row[a:b], left[a:b], count[a:b]
 
 
@@ -305,11 +306,6 @@ class Look:
         return ((x + grain) * 255 + 0.5).clip(0, 255).astype(np.uint8)
 
 
-def _shrunk(picture: np.ndarray, factor: int) -> np.ndarray:
-    size = picture.shape[1] // factor, picture.shape[0] // factor
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-
-
 def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) -> tuple[np.ndarray, np.ndarray]:
     """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel sees (H, W) int, -1 for none. As a pixel has no
     sample at its centre, the one to the right and below it counts."""
@@ -317,7 +313,8 @@ def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) ->
     look = Look.drawn(rng) if look is None else look
     ideal = view.ideal()
     linear, owner = light(scene, ideal.enlarged(SUPERSAMPLING))
-    linear, owner = _shrunk(linear, SUPERSAMPLING), owner[1::SUPERSAMPLING, 1::SUPERSAMPLING]
+    linear = cv2.resize(linear, (ideal.width, ideal.height), interpolation=cv2.INTER_AREA)
+    owner = owner[1::SUPERSAMPLING, 1::SUPERSAMPLING]
     if isinstance(view, Perspective) and ideal is not view:
         y, x = np.indices((view.height, view.width)) + 0.5
         place = view.undistorted(np.stack([x, y], -1)) * view.camera.focal_px

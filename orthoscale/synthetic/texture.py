@@ -12,37 +12,6 @@ import numpy as np
 TEXTURE_SIZE = 512
 """Texels along each side of a texture."""
 
-TEXEL_M = {
-    "plain": 0.05,
-    "paint": 0.05,
-    "asphalt": 0.04,
-    "worn_asphalt": 0.04,
-    "concrete": 0.03,
-    "paving": 0.02,
-    "grass": 0.06,
-    "dry_grass": 0.06,
-    "soil": 0.05,
-    "sand": 0.05,
-    "gravel": 0.03,
-    "field": 0.05,
-    "water": 0.08,
-    "tiles": 0.03,
-    "corrugated": 0.03,
-    "seam": 0.03,
-    "bitumen": 0.04,
-    "roof_gravel": 0.03,
-    "leaves": 0.03,
-    "facade": 0.06,
-    "plaster": 0.04,
-    "solar": 0.02,
-    "planks": 0.02,
-    "rubble": 0.03,
-}
-"""Metres per texel of each material."""
-
-MATERIALS = tuple(TEXEL_M)
-"""Names of the materials; a mesh stores indices into this."""
-
 BLOTCH_TEXEL_M = 0.35
 """Metres per texel of `blotch`, the slow change of tone that keeps the other textures from showing their repeats."""
 
@@ -226,39 +195,43 @@ def _planks(n: _Noise) -> np.ndarray:
     return _per_cell(n.rng, column, row, 0.12) * (1 - 0.4 * _lines(u, 0.15)) * (1 + 0.05 * n.fine)
 
 
-PAINTERS: dict[str, Painter] = {
-    "plain": _plain,
-    "paint": _paint,
-    "asphalt": _asphalt,
-    "worn_asphalt": _worn_asphalt,
-    "concrete": _concrete,
-    "paving": _paving,
-    "grass": _grass(0.13, 0.5),
-    "dry_grass": _grass(0.16, 1.0),
-    "soil": _soil,
-    "sand": _sand,
-    "gravel": _grains(0.16),
-    "field": _field,
-    "water": _water,
-    "tiles": _tiles,
-    "corrugated": _corrugated,
-    "seam": _seam,
-    "bitumen": _bitumen,
-    "roof_gravel": _grains(0.12),
-    "leaves": _leaves,
-    "facade": _facade,
-    "plaster": _plaster,
-    "solar": _solar,
-    "planks": _planks,
-    "rubble": _grains(0.3),
+PAINTED: dict[str, tuple[float, Painter]] = {
+    "plain": (0.05, _plain),
+    "paint": (0.05, _paint),
+    "asphalt": (0.04, _asphalt),
+    "worn_asphalt": (0.04, _worn_asphalt),
+    "concrete": (0.03, _concrete),
+    "paving": (0.02, _paving),
+    "grass": (0.06, _grass(0.13, 0.5)),
+    "dry_grass": (0.06, _grass(0.16, 1.0)),
+    "soil": (0.05, _soil),
+    "sand": (0.05, _sand),
+    "gravel": (0.03, _grains(0.16)),
+    "field": (0.05, _field),
+    "water": (0.08, _water),
+    "tiles": (0.03, _tiles),
+    "corrugated": (0.03, _corrugated),
+    "seam": (0.03, _seam),
+    "bitumen": (0.04, _bitumen),
+    "roof_gravel": (0.03, _grains(0.12)),
+    "leaves": (0.03, _leaves),
+    "facade": (0.06, _facade),
+    "plaster": (0.04, _plaster),
+    "solar": (0.02, _solar),
+    "planks": (0.02, _planks),
+    "rubble": (0.03, _grains(0.3)),
 }
+"""Metres per texel of each material, and what paints it."""
+MATERIALS = tuple(PAINTED)
+"""Names of the materials; a mesh stores indices into this."""
 
 
 @cache
 def _levels(name: str) -> tuple[np.ndarray, ...]:
     """The texture as float32 (s, s, 3) with mean 1, and its mipmaps: each half the size, down to 1 texel."""
-    noise = _Noise.drawn(np.random.default_rng(MATERIALS.index(name)), TEXEL_M[name])
-    picture = np.asarray(PAINTERS[name](noise), np.float32)
+    texel, paint = PAINTED[name]
+    noise = _Noise.drawn(np.random.default_rng(MATERIALS.index(name)), texel)
+    picture = np.asarray(paint(noise), np.float32)
     picture = picture[..., None] if picture.ndim == 2 else picture
     picture = np.broadcast_to(picture, (TEXTURE_SIZE, TEXTURE_SIZE, 3)).clip(0.05, None)
     levels = [(picture / picture.mean()).astype(np.float32)]
@@ -287,10 +260,10 @@ def atlas(sample_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 @cache
 def _atlas(octave: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     chosen, side, per_metre = [], [], []
-    for name in MATERIALS:
-        level = int(np.clip(round(octave - float(np.log2(TEXEL_M[name]))), 0, len(_levels(name)) - 1))
+    for name, (texel, _) in PAINTED.items():
+        level = int(np.clip(round(octave - float(np.log2(texel))), 0, len(_levels(name)) - 1))
         chosen.append(_levels(name)[level].reshape(-1, 3))
         side.append(TEXTURE_SIZE >> level)
-        per_metre.append(1 / (TEXEL_M[name] * 2**level))
+        per_metre.append(1 / (texel * 2**level))
     offset = np.cumsum([0, *[len(c) for c in chosen[:-1]]])
     return np.concatenate(chosen), offset.astype(np.int64), np.array(side), np.array(per_metre, np.float32)

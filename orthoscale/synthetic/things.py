@@ -321,14 +321,9 @@ def _tone(rng: np.random.Generator) -> np.ndarray:
     return tone.mean() + rng.uniform(0.2, 1) * (tone - tone.mean())
 
 
-SMALL_THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
+SMALL_THINGS: list[Callable[[np.random.Generator], Thing]] = [
     _bench, _bin, _tarpaulin, _shed, _motorbikes, _person, _stack, _parasol, _trailer,
-)  # fmt: skip
-
-
-def small_thing(rng: np.random.Generator) -> Thing:
-    """A bench, bin, tarpaulin, shed, motorbikes, person, stack of planks, parasol or trailer."""
-    return pick(rng, list(SMALL_THINGS))(rng)
+]  # fmt: skip
 
 
 def play_equipment(rng: np.random.Generator) -> Thing:

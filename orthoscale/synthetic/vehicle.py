@@ -199,11 +199,11 @@ class Vehicle:
             bed = rectangle(x1 - x0, self.width - 2 * max(0.18, rim)) + [(x0 + x1) / 2, 0]
             if self.bed.depth:
                 plans[:1] = around(plans[0], bed)
-            parts = self._bed(rng, bed, paint)
+            parts = self._bed(rng, bed)
         decks = [faces(at_height(plan, deck(plan[:, 0])), "paint", paint, 0.7) for plan in plans]
         return decks + parts
 
-    def _bed(self, rng: np.random.Generator, plan: np.ndarray, paint: np.ndarray) -> list[Mesh]:
+    def _bed(self, rng: np.random.Generator, plan: np.ndarray) -> list[Mesh]:
         """A pickup's bed over `plan` (4, 2), counter-clockwise: its floor with its load, and its cover."""
         bed, parts = self.bed, []
         bottom = self.belt - bed.depth

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..angles import unit_vector
 from ..normal import Z90
 from ..projection.planar import square_pixels
 from ..remarks import REFUSAL, Remark, percent
@@ -146,7 +147,7 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float, aspect:
     flat_fit, plane_fit, bowl_fit = (SurfaceFit.of(terms, cells.mean, covariance) for terms in surfaces)
     gradient = plane_fit.coefficients[1:]
     direction = float(np.arctan2(gradient[1], gradient[0]))
-    along = np.array([np.cos(direction), np.sin(direction)])
+    along = unit_vector(direction)
     length = float(np.abs(along) @ extent / extent.max())
     across, down = cells.size / square
     return Drift(

@@ -16,6 +16,7 @@ from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from ..evenly import evenly
 from ..normal import median_and_sd
 from ..source import PosedSet
 from ..votes import FOUND_IN, SAME_PLACE, same_place
@@ -230,7 +231,7 @@ class _Error:
             gain = lu_solve(whole, shared)
             mean[part], told[part] = lower @ gain, (gain * shared).sum(0)
         variance = np.maximum(self.common**2 + boxes.sd**2 + self.uneven**2 - told, LEAST_VARIANCE * self.reach**2)
-        some = boxes[np.unique(np.linspace(0, len(boxes.sd) - 1, MOST_COMPARED).astype(int))]
+        some = boxes[evenly(len(boxes.sd), MOST_COMPARED)]
         shared = self.covariance(at, some)
         alike = self.covariance(some, some).mean() - lu_solve(whole, shared).mean(1) @ shared.mean(1)
         log_determinant = np.log(np.abs(np.diag(whole[0]))).sum()

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..boxes import KINDS
+from ..evenly import evenly
 from ..market_segments import Class
 
 # Share of a kind's vehicles that are called any kind at random, however good the card's table: the readings by which it
@@ -99,4 +100,4 @@ class Seen:
 
     def few(self, number: int) -> Seen:
         """`number` of them, evenly chosen, or all if there are no more."""
-        return self[np.linspace(0, len(self) - 1, min(len(self), number)).astype(int)]
+        return self[evenly(len(self), number)]
