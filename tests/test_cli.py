@@ -184,6 +184,16 @@ def test_debug_shows_the_traceback_as_well(tmp_path):
     assert done.returncode == 5 and "Traceback" in done.stderr and "does not exist" in done.stderr
 
 
+def test_a_current_folder_that_is_gone_is_said(tmp_path, monkeypatch):
+    """It was "the output: writing failed (No such file or directory)", of a command that writes nothing."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    done = run("estimate", "park.png")
+    monkeypatch.chdir(tmp_path)  # pytest needs one
+    assert done.returncode == 5 and "The current folder has been removed: enter one that exists" in done.stderr
+
+
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_has_examples_and_exit_codes(command):
     """Those that the command can end with: `apply` measures nothing, and only `fix` has --force."""

@@ -134,5 +134,9 @@ def _complain(message: str, hint: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
     say(f"error: {message}", err=True)
+    try:
+        os.getcwd()
+    except OSError:  # then no relative path leads anywhere
+        hint = "The current folder has been removed: enter one that exists (cd), and run again."
     if hint:
         say(hint, err=True)
