@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import re
@@ -24,7 +25,7 @@ from orthoscale.actions import finished, inputs, many, processes
 from orthoscale.actions.inputs import Named, outputs_of
 from orthoscale.cli.dry_run import tell_rehearsals
 from orthoscale.cli.many import line
-from orthoscale.errors import InputError, UsageError
+from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import check_summary, inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
@@ -703,6 +704,17 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_folder_that_cannot_be_made_is_an_output_that_was_not_written(parks, tmp_path, monkeypatch):
+    """It was an input that cannot be read, with another exit code."""
+
+    def forbidden(folder, **_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "mkdir", forbidden)
+    with pytest.raises(OutputError, match="out: cannot write there .Permission denied"):
+        many.run_many("fix", [parks / "pictures/a.png", parks / "pictures/b.png"], FixRequest(), tmp_path / "out")
+
+
 def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
     """And one that was made for nothing goes."""
     for there in (True, False):

@@ -23,6 +23,7 @@ from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
 from ..system.paths import absolute
+from ..system.reserved import writing
 from .check import checked
 from .estimate import measured, noted
 from .finished import finished
@@ -56,7 +57,8 @@ def run_many(
     if out is not None:
         made = not out.is_dir()
         check_folder(out)
-        out.mkdir(exist_ok=True)
+        with writing(out):
+            out.mkdir(exist_ok=True)
     rows: list[Row] = [{}] * len(todo)
     address = request.scheduler
     work = in_processes(todo, jobs, one) if address is None else on_cluster(todo, address, one)
