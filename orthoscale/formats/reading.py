@@ -11,7 +11,7 @@ import io
 import os
 import re
 import stat
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -128,11 +128,14 @@ def refuse_pointer(path: Path) -> None:
         raise InputError(f"{path}: only a pointer of Git LFS, not the file", "Fetch the file with `git lfs pull`.")
 
 
-def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Path]:
+def files_below(
+    folder: Path, suffixes: Container[str] | None = None, onerror: Callable[[OSError], None] | None = None
+) -> list[Path]:
     """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
-    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder."""
+    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder. onerror :
+    called for a folder that cannot be read, which is else left out."""
     found = []
-    for place, _, names in os.walk(folder):
+    for place, _, names in os.walk(folder, onerror=onerror):
         for name in names:
             path = Path(place, name)
             if (suffixes is None or path.suffix.lower() in suffixes) and path.is_file():
