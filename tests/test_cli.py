@@ -170,6 +170,7 @@ def test_bad_input_ends_in_one_sentence_the_right_code_and_nothing_written(tmp_p
         (["estimate", "x.tif", "--zoom", "-1"], "positive"),
         (["estimate", "x.tif", "--zoom", "1", "--gsd-hint", "0.1"], "twice"),
         (["measure"], "measure"),
+        (["estimate", "-v", "x.tif"], "It goes before the command: orthoscale -v COMMAND"),
     ],
 )
 def test_usage_errors_are_exit_code_2(tmp_path, monkeypatch, arguments, word):

@@ -109,6 +109,8 @@ def main() -> None:
         text = io.StringIO()
         error.show(text)
         say(text.getvalue().rstrip("\n"), err=True)
+        if isinstance(error, click.NoSuchOption) and any(error.option_name in each.opts for each in cli.params):
+            say(f"It goes before the command: orthoscale {error.option_name} COMMAND ...", err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         stopping.say(partial(click.echo, err=True))
