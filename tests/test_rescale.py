@@ -128,6 +128,7 @@ def test_damaged_ply(tmp_path, form):
         ("ply\nformat ascii 1.0\nelement chunk 1\nproperty float min_x\n", "no vertices with x, y and z"),
         ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\n", "negative"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty quad x\n", "not a PLY header"),
+        ("ply\nformat ascii 1.0\nelement vertex one\n", r"line 3: not a PLY header \(values of a wrong kind"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\n", "no vertices|lists"),
     ],
 )
