@@ -66,13 +66,13 @@ def read_bytes(path: Path, hint: str, most: int = SMALL) -> bytes:
     """The content of the regular file `path`, which has `most` bytes or fewer. Raises InputError."""
     check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
     try:
-        large, content = path.stat().st_size > most, b""
-        if not large:  # a file that is too large is not read at all
-            with path.open("rb") as file:
-                content = file.read(most + 1)
+        size, content = path.stat().st_size, b""
+        if size <= most:  # a file that is too large is not read at all
+            with path.open("rb") as file:  # `read` takes as much memory as it is asked for, and `most` may be a budget
+                content = file.read(min(max(size, SMALL), most) + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", hint) from error
-    if large or len(content) > most:
+    if size > most or len(content) > most:
         raise InputError(f"{path}: larger than the {most // MIB} MiB that such a file may have", hint)
     return content
 
