@@ -14,6 +14,7 @@ import time
 from contextlib import nullcontext, suppress
 from itertools import permutations
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from support.cluster import killing_one
@@ -54,6 +55,18 @@ def parks(tmp_path_factory):
 
 def options(parks, *more):
     return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
+
+
+def test_too_little_memory_is_no_bug(parks, monkeypatch):
+    monkeypatch.setattr(many, "measured", mock.Mock(side_effect=MemoryError("std::bad_alloc")))
+    job = {"action": "estimate", "input": str(parks / "pictures/a.png"), "out": None, "settings": {}, "alone": True}
+    row = many.one(job)
+    assert (
+        row["exit_code"] == 5 and row["error"] == "this machine has too little memory left" and "--jobs" in row["hint"]
+    )
+    monkeypatch.setattr("orthoscale.actions.estimate.measured", many.measured)
+    done = run("estimate", parks / "pictures/a.png")
+    assert done.returncode == 5 and row["error"] in done.stderr and "bug" not in done.stderr
 
 
 def test_what_failed_is_named_once_and_as_the_user_named_it(parks, monkeypatch, capsys):
