@@ -93,3 +93,10 @@ class Incomplete(OutputError):
     def __init__(self, message: str, hint: str = "", result: Any = None):
         super().__init__(message, hint)
         self.result = result
+
+
+def out_of_memory() -> InputError:
+    """The error where the machine itself, not the budget, has too little memory."""
+    return InputError(
+        "this machine has too little memory left", "Close other programs, or do less at once (--jobs, --workers)."
+    )

@@ -3,6 +3,7 @@
 import pytest
 
 from orthoscale.errors import InputError, UsageError
+from orthoscale.formats.reading import read_bytes
 from orthoscale.system import budget
 
 
@@ -31,3 +32,9 @@ def test_what_needs_more_says_how_much():
     with pytest.raises(InputError, match=r"a picture needs 1\.5 GB of memory, but only 1 GB is allowed") as caught:
         budget.require(1.5 * 2**30, "a picture")
     assert caught.value.hint == "Allow more: --memory 2G"
+
+
+def test_a_file_is_read_within_any_budget(tmp_path):
+    """`--memory 64G` ended as a bug on a machine with less: as much was allocated for a network of 10 MB."""
+    (tmp_path / "net.onnx").write_bytes(b"network")
+    assert read_bytes(tmp_path / "net.onnx", "", 2**60) == b"network"

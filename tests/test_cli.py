@@ -170,6 +170,7 @@ def test_bad_input_ends_in_one_sentence_the_right_code_and_nothing_written(tmp_p
         (["estimate", "x.tif", "--zoom", "-1"], "positive"),
         (["estimate", "x.tif", "--zoom", "1", "--gsd-hint", "0.1"], "twice"),
         (["measure"], "measure"),
+        (["estimate", "-v", "x.tif"], "It goes before the command: orthoscale -v COMMAND"),
     ],
 )
 def test_usage_errors_are_exit_code_2(tmp_path, monkeypatch, arguments, word):
@@ -182,6 +183,16 @@ def test_usage_errors_are_exit_code_2(tmp_path, monkeypatch, arguments, word):
 def test_debug_shows_the_traceback_as_well(tmp_path):
     done = process("estimate", tmp_path / "nowhere", "--debug")
     assert done.returncode == 5 and "Traceback" in done.stderr and "does not exist" in done.stderr
+
+
+def test_a_current_folder_that_is_gone_is_said(tmp_path, monkeypatch):
+    """It was "the output: writing failed (No such file or directory)", of a command that writes nothing."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    done = run("estimate", "park.png")
+    monkeypatch.chdir(tmp_path)  # pytest needs one
+    assert done.returncode == 5 and "The current folder has been removed: enter one that exists" in done.stderr
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import click
 import cv2
 import numpy as np
 import pytest
@@ -400,6 +401,33 @@ def test_an_option_of_calibrate_arrives(name, places, monkeypatch):
     for words in ((), OF_CALIBRATE[name]):
         run("calibrate", places["ORTHO"], *words)
     assert given[0][name] != given[1][name]
+
+
+WITH_NUMBER = [
+    (command, name)
+    for command, name in GRID
+    if isinstance(words_of(command)[name].type, (click.types.FloatParamType, click.types.IntParamType))
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command, name", WITH_NUMBER)
+def test_what_is_no_number_is_a_usage_error_that_names_the_option(command, name, places, tmp_path):
+    """`crop --radius inf` took the whole picture, `evaluate --max-pitch nan` left out all photos."""
+    words = (command, *ACTIONS[command][1]) if command in ACTIONS else ()
+    if (command, name) in CASES:
+        _, _, *line = CASES[command, name]
+        words = line[0] if line else LINES[command]
+    flag = words_of(command)[name].opts[-1]
+    for k, value in enumerate(("1,5", "5 cm", "", "nan", "inf", "-1e400")):
+        done = outcome((*words, f"{flag}={value}"), places, tmp_path / str(k))
+        assert done.code == 2 and flag in done.error and done.files == {}, (value, done)
+
+
+def test_a_map_that_is_nothing_beside_the_photo_is_refused(places, tmp_path):
+    """`locate --gsd 1e12` ended as a bug: a division by zero."""
+    done = outcome((*LOCATE, "--gsd", "1e12"), places, tmp_path / "out")
+    assert done.code == 3 and "all of town.tif less than a 320th of that" in done.error
 
 
 @pytest.mark.slow

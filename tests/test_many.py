@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import time
 from contextlib import nullcontext, suppress
 from itertools import permutations
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from support.cluster import killing_one
@@ -24,7 +26,7 @@ from orthoscale.actions import finished, inputs, many, processes
 from orthoscale.actions.inputs import Named, outputs_of
 from orthoscale.cli.dry_run import tell_rehearsals
 from orthoscale.cli.many import line
-from orthoscale.errors import InputError, UsageError
+from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import check_summary, inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
@@ -53,6 +55,18 @@ def parks(tmp_path_factory):
 
 def options(parks, *more):
     return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
+
+
+def test_too_little_memory_is_no_bug(parks, monkeypatch):
+    monkeypatch.setattr(many, "measured", mock.Mock(side_effect=MemoryError("std::bad_alloc")))
+    job = {"action": "estimate", "input": str(parks / "pictures/a.png"), "out": None, "settings": {}, "alone": True}
+    row = many.one(job)
+    assert (
+        row["exit_code"] == 5 and row["error"] == "this machine has too little memory left" and "--jobs" in row["hint"]
+    )
+    monkeypatch.setattr("orthoscale.actions.estimate.measured", many.measured)
+    done = run("estimate", parks / "pictures/a.png")
+    assert done.returncode == 5 and row["error"] in done.stderr and "bug" not in done.stderr
 
 
 def test_what_failed_is_named_once_and_as_the_user_named_it(parks, monkeypatch, capsys):
@@ -243,7 +257,7 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
     for out in (tmp_path, tmp_path / "1", inputs[0] / "in"):
         with pytest.raises(UsageError, match="lie in each other"):
             outputs_of(inputs, out)
-    with pytest.raises(UsageError, match="would be the folder of several copies"):
+    with pytest.raises(UsageError, match="would be the folder of the copies of .*o.tif, .*x.jpg"):
         outputs_of(inputs, tmp_path / "scaled.tif")
 
 
@@ -703,6 +717,17 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_folder_that_cannot_be_made_is_an_output_that_was_not_written(parks, tmp_path, monkeypatch):
+    """It was an input that cannot be read, with another exit code."""
+
+    def forbidden(folder, **_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "mkdir", forbidden)
+    with pytest.raises(OutputError, match="out: cannot write there .Permission denied"):
+        many.run_many("fix", [parks / "pictures/a.png", parks / "pictures/b.png"], FixRequest(), tmp_path / "out")
+
+
 def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
     """And one that was made for nothing goes."""
     for there in (True, False):

@@ -27,6 +27,7 @@ from orthoscale.actions.many import run_many
 from orthoscale.core.claims import OF_A_COPY, own_claim
 from orthoscale.core.detections import Swept, Tile
 from orthoscale.core.evidence import Evidence
+from orthoscale.core.projection.planar import ground_size
 from orthoscale.core.remarks import CAUTION, INFO, SEVERITIES, Remark
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
@@ -584,6 +585,21 @@ def test_headings_are_those_of_the_outlines(tmp_path, boxes, name):
     azimuth = np.degrees(np.arctan2(east[longer[::-1]], north[longer[::-1]]))
     off = (table(result, place)["heading_deg"] - azimuth + 90) % 180 - 90
     assert np.abs(off).max() < 0.5
+
+
+@pytest.mark.parametrize("keep_origin", [False, True])
+def test_outlines_are_rectangles_on_the_ground_also_of_oblong_pixels(tmp_path, boxes, keep_origin):
+    """They were parallelograms, whose sides were not the vehicles'."""
+    oblong = Affine(1.25 * GSD, 0, 500_000, 0, -GSD / 1.25, 5_400_000)
+    path = picture(tmp_path / "a.tif", "EPSG:32632", oblong)
+    result = orthoscale.estimate(path, fleet="DE", detections=boxes, measurer="none", anchors=["none"])
+    place = result.place(keep_origin)
+    sides = np.diff(outlines(result, place), axis=1)
+    assert np.abs((sides[:, :-1] * sides[:, 1:]).sum(-1)).max() < 1e-6, "right angles"
+    lengths = np.linalg.norm(sides[:, :2], axis=-1)
+    members = [members[0] for members in result.votes.members]
+    expected = ground_size(result.boxes[members], 1.25**2) * math.sqrt(abs(place.transform.determinant))
+    assert np.sort(lengths) == pytest.approx(np.sort(expected), rel=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

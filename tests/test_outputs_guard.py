@@ -1060,6 +1060,7 @@ def test_the_georeferencing_of_the_input_stays_its_own(ortho):
     before = state(here)
     done = fixed(ortho, here / "a.tiff")
     assert done.returncode == 2 and "a.tfw would be taken for a part of" in done.stderr and state(here) == before
+    assert f"It belongs to {ortho}: choose another name." in done.stderr  # moved away, the input would lose its place
     (here / "a.tfw").unlink()
     assert fixed(ortho, here / "a.tiff").returncode == 0
     done = fixed(ortho, here / "a.tiff", "--overwrite", "--also", "tfw")

@@ -1,10 +1,14 @@
 """The library's own doors: what a notebook or a script sees."""
 
+import copy
+import importlib
 import json
+import pickle
+import pkgutil
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from datetime import timedelta
 
 import numpy as np
@@ -15,6 +19,7 @@ from support.reports import car_park, fixed, fixed_model
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.by_value import ByValue
 from orthoscale.errors import EvidenceDisagrees
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.requests import EstimateOptions, FixOptions
@@ -80,6 +85,48 @@ def test_the_vehicles_are_a_table(result):
     assert table["reason"][60] == "too large for a car" and table["picture"][0] == "park.png"
     assert np.allclose(table["length"], table["length_unit"] * result.scale.value)
     assert (table["box_length_px"] > table["length_unit"]).all(), "the margin is the box's"
+
+
+@pytest.mark.parametrize("part", ["scale", "boxes", "fleet", "detections", "votes", "measured"])
+def test_parts_of_a_result_are_equal_where_their_values_are(result, part):
+    """The arrays in them have no truth value of their own; NaN, as in `Boxes.sigma`, is not less equal to itself."""
+    value = getattr(result, part)
+    for same in (copy.copy(value), copy.deepcopy(value), pickle.loads(pickle.dumps(value))):
+        assert value == same
+    assert value != 1
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(value)
+
+
+def test_parts_of_a_result_differ_where_one_value_does(result):
+    boxes, votes, scale = result.boxes, result.votes, result.scale
+    assert boxes != boxes[1:] and boxes != replace(boxes, score=boxes.score / 2)
+    assert boxes != replace(boxes, sigma=np.full((len(boxes), 2), 0.1))
+    assert votes != replace(votes, members=[*votes.members[1:], votes.members[0]])
+    assert scale != replace(scale, used=~scale.used) and scale != replace(scale, value=2 * scale.value)
+    systematic = result.measured.pooled.systematic
+    assert systematic != replace(systematic, shared={**systematic.shared, "tilt": np.zeros(2)})
+
+
+def test_no_part_of_a_result_is_left_to_compare_its_arrays_as_if_they_were_numbers():
+    """Every dataclass that can be reached from a public one by the types of its fields."""
+    modules = (importlib.import_module(each.name) for each in pkgutil.walk_packages(orthoscale.__path__, "orthoscale."))
+    named: dict[str, set[type]] = {}
+    for module in modules:
+        for name, value in vars(module).items():
+            if is_dataclass(value) and isinstance(value, type):
+                named.setdefault(name, set()).add(value)
+    waiting = [each for name in ("Result", "Checked", "Survey", "Calibration") for each in named[name]]
+    reached: set[type] = set()
+    while waiting:
+        kind = waiting.pop()
+        if kind not in reached:
+            reached.add(kind)
+            words = {word for each in fields(kind) for word in re.findall(r"\w+", str(each.type))}
+            waiting += [other for word in words for other in named.get(word, ())]
+    holds = {kind for kind in reached if any("ndarray" in str(each.type) for each in fields(kind))}
+    assert len(holds) > 12 and [kind for kind in holds if not issubclass(kind, ByValue)] == []
+    assert [kind for kind in holds if kind.__eq__ is not ByValue.__eq__] == []
 
 
 def test_a_result_as_plain_values_is_the_report(park, result):

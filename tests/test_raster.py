@@ -1497,7 +1497,9 @@ def test_a_pipe_that_a_vrt_names_is_not_waited_for(tmp_path, nested):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-@pytest.mark.parametrize("name", ["a.tif.aux.xml", "a.tif.OVR", "A.tif.msk", "a.tfw", "a_RPC.TXT", "a.tab", "a.link"])
+@pytest.mark.parametrize(
+    "name", ["a.tif.aux.xml", "a.tif.OVR", "A.tif.msk", "a.tfw", "a_RPC.TXT", "a.tab", "a.link", "METADATA.DIM"]
+)
 @pytest.mark.parametrize("part", [False, True])
 def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
     path = make(tmp_path / "a.tif")
@@ -1506,8 +1508,26 @@ def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
     (tmp_path / "a.folder").mkdir()
     RasterSource.open(path).close()
     os.symlink("another.tfw", tmp_path / name) if name == "a.link" else os.mkfifo(tmp_path / name)
-    with pytest.raises(InputError, match=f"{name} is a pipe or a device, and is read together with .*a.tif"):
+    with pytest.raises(InputError, match=f"{name} is a pipe or a device, and is read together with .*(a.tif|b.vrt)"):
         RasterSource.open(vrt(tmp_path / "b.vrt", str(path)) if part else path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize(
+    "name, beside",
+    [
+        ("IMG_town_R1C1.tif", "DIM_town.XML"),
+        ("LC08_L1TP_B4.tif", "LC08_L1TP_MTL.txt"),
+        ("IMG-town.tif", "HDR-town.txt"),
+        ("town.1.tif", "town.pass"),
+    ],
+)
+def test_a_pipe_named_as_a_satellites_metadata_is_not_waited_for(tmp_path, name, beside):
+    """Those have stems of their own."""
+    path = make(tmp_path / name)
+    os.mkfifo(tmp_path / beside)
+    with pytest.raises(InputError, match=f"{beside} is a pipe or a device"):
+        RasterSource.open(path)
 
 
 def test_ground_control_that_is_no_number_is_not_believed(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -127,6 +128,7 @@ def test_damaged_ply(tmp_path, form):
         ("ply\nformat ascii 1.0\nelement chunk 1\nproperty float min_x\n", "no vertices with x, y and z"),
         ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\n", "negative"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty quad x\n", "not a PLY header"),
+        ("ply\nformat ascii 1.0\nelement vertex one\n", r"line 3: not a PLY header \(values of a wrong kind"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\n", "no vertices|lists"),
     ],
 )
@@ -630,7 +632,6 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 def test_what_apply_wrote_into_a_dense_workspace_is_not_scaled_again_with_it(tmp_path):
     """A mesh in a format without room for a mark was scaled twice, by `fix --dense`."""
     dense = dense_workspace(tmp_path / "dense")
@@ -646,6 +647,7 @@ def test_what_apply_wrote_into_a_dense_workspace_is_not_scaled_again_with_it(tmp
     assert any("metric/mesh.xyz (in metres already: orthoscale wrote it)" in note for note in notes)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp_path):
     """A copy without its frames or depth maps, which may lie on another disk, seemed to be whole."""
     source = dense_workspace(tmp_path / "dense")
@@ -658,6 +660,22 @@ def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp
     (said,) = [note for note in scale_path(source, tmp_path / "out", SCALE) if "links to folders" in note]
     assert said.endswith(": gone.ply, pipe.ply, stereo") and "links to folders are not followed" in said
     assert (tmp_path / "out" / "linked.ply").is_file() and not (tmp_path / "out" / "stereo").exists()
+
+
+def test_a_folder_of_a_dense_workspace_that_cannot_be_read_is_not_left_out(tmp_path, monkeypatch):
+    """The copy lacked the depth maps, and nothing was said."""
+    source = dense_workspace(tmp_path / "dense")
+    (tmp_path / "out").mkdir()
+    scandir = os.scandir
+
+    def forbidden(folder):
+        if os.fspath(folder).endswith("depth_maps"):
+            raise PermissionError(errno.EACCES, "Permission denied", os.fspath(folder))
+        return scandir(folder)
+
+    monkeypatch.setattr(os, "scandir", forbidden)
+    with pytest.raises(InputError, match="stereo/depth_maps: cannot be read .Permission denied"):
+        scale_path(source, tmp_path / "out", SCALE)
 
 
 @pytest.mark.parametrize(

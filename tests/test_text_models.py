@@ -256,10 +256,11 @@ def test_damage_is_refused(pinhole, tmp_path, writer):
         damaged.append("\n".join([*lines[:at], " ".join(words), *lines[at + 1 :]]))
     for text in damaged:
         path.write_text(text)
-        with pytest.raises(InputError, match=path.name):
+        with pytest.raises(InputError, match=path.name) as caught:
             open_source(path)
+        assert not re.search("invalid literal|could not convert", caught.value.message), "no words for programmers"
     path.write_bytes(b"\xff\xfe\x00" * 100)
-    with pytest.raises(InputError, match=path.name):
+    with pytest.raises(InputError, match=f"{path.name}.*values of a wrong kind"):
         open_source(path)
 
 

@@ -14,6 +14,7 @@ from support.geometry import dense_workspace
 
 from orthoscale.actions import workspace
 from orthoscale.actions.apply import apply
+from orthoscale.actions.check import check
 from orthoscale.actions.fix import fix
 from orthoscale.actions.workspace import estimate_all, fix_all, models_in
 from orthoscale.cli.main import cli
@@ -212,3 +213,12 @@ def test_a_sim3_beside_the_original_model_is_of_it(tmp_path):
     shutil.copy(tmp_path / "sim3.json", tmp_path / "sparse")
     apply(tmp_path / "sparse/sim3.json", tmp_path / "sparse", tmp_path / "out")
     assert (tmp_path / "out/sparse/sim3.txt").is_file()
+
+
+def test_what_is_said_of_one_of_several_models_names_it(work, tmp_path):
+    """`check` judges the one with the most images; its refusal named the workspace."""
+    with pytest.raises(UsageError, match=f"{work}/sparse/0 claims no scale"):
+        check(work, **OPTIONS)
+    assert ColmapSource.open(work, need_images=False).path == work / "sparse/0"
+    shutil.rmtree(work / "sparse/1")
+    assert ColmapSource.open(work, need_images=False).path == work

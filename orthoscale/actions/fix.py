@@ -191,9 +191,14 @@ class _PlanWriter:
     def _refuse_beside(self, taken: Sequence[Path]) -> None:
         """Raise UsageError for a file that programs would read together with the copy, and that is none of the outputs
         `taken`: a world file that was edited would give the copy another scale."""
+        given = self.plan.path
+        of_input = [given.with_name(name) for name in beside(given)]
         for place in map(self.out.with_name, beside(self.out)):
             if os.path.lexists(place) and not any(inside(place, each) for each in taken):
-                hint = "Move it away, or choose another name."
+                mine = any(inside(place, each) for each in of_input)
+                hint = (
+                    f"It belongs to {given}: choose another name." if mine else "Move it away, or choose another name."
+                )
                 raise UsageError(f"{place} would be taken for a part of {self.out}", hint)
 
     def write(self, main: Path, result: Result) -> None:

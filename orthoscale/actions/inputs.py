@@ -129,7 +129,10 @@ def _told_apart(names: list[list[str]], of_another: Callable[[int, str], bool]) 
 def _check_folder(inputs: Sequence[Path], folder: Path) -> None:
     """Raise UsageError for a `folder` that cannot hold the copies of `inputs`; see `outputs_of`."""
     if folder.suffix.lower() in (".tif", ".tiff") and not folder.is_dir():
-        raise UsageError(f"{folder} would be the folder of several copies", "Choose a name without a picture's ending.")
+        raise UsageError(
+            f"{folder} would be the folder of the copies of {first_few(inputs)}",
+            "Choose a name without a picture's ending, or give one input.",
+        )
     there = Path(os.path.realpath(folder))
     for path in inputs:
         given = Path(os.path.realpath(path))

@@ -89,7 +89,7 @@ class LocateRequest:
                 f"--prior {self.prior} is not LON,LAT,RADIUS or X,Y,RADIUS", "Such as --prior 8.54,47.38,1500."
             ) from None
         if not (np.isfinite([x, y]).all() and 0 < radius < np.inf):
-            raise UsageError(f"--prior {self.prior}: the radius must be a positive number of metres")
+            raise UsageError(f"--prior {self.prior}: it takes finite numbers, and the radius must be a positive one")
         if abs(x) <= 180 and abs(y) <= 90:
             return x, y, radius
         if satellite.crs.is_geographic:

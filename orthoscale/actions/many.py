@@ -16,13 +16,14 @@ from typing import Any
 from ..core.claims import own_claim, verdict_on
 from ..core.source import Source
 from ..detect.workers import MOST_THREADS, cores
-from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, shown
+from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, out_of_memory, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
 from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
 from ..system.paths import absolute
+from ..system.reserved import writing
 from .check import checked
 from .estimate import measured, noted
 from .finished import finished
@@ -56,7 +57,8 @@ def run_many(
     if out is not None:
         made = not out.is_dir()
         check_folder(out)
-        out.mkdir(exist_ok=True)
+        with writing(out):
+            out.mkdir(exist_ok=True)
     rows: list[Row] = [{}] * len(todo)
     address = request.scheduler
     work = in_processes(todo, jobs, one) if address is None else on_cluster(todo, address, one)
@@ -116,6 +118,9 @@ def one(job: Job) -> Row:
             _fill_by_result(row, error.result)
             row["output"] = job["out"]
             raise
+    except MemoryError:
+        short = out_of_memory()
+        row |= {"exit_code": short.exit_code, "error": short.message, "hint": short.hint}
     except OrthoscaleError as error:
         said, named = shown(path, LONGEST_MESSAGE), shown(job["input"], LONGEST_MESSAGE)  # as the user named it
         message, hint = error.message.replace(said, named), error.hint.replace(said, named)

@@ -16,7 +16,7 @@ from typing import Any
 
 import click
 
-from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, shown
+from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, out_of_memory, shown
 from ..system import quiet, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
@@ -109,6 +109,8 @@ def main() -> None:
         text = io.StringIO()
         error.show(text)
         say(text.getvalue().rstrip("\n"), err=True)
+        if isinstance(error, click.NoSuchOption) and any(error.option_name in each.opts for each in cli.params):
+            say(f"It goes before the command: orthoscale {error.option_name} COMMAND ...", err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         stopping.say(partial(click.echo, err=True))
@@ -123,6 +125,10 @@ def main() -> None:
         message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST_MESSAGE)
         _complain(message, "Check the file and its permissions.", debug)
         sys.exit(InputError.exit_code)
+    except MemoryError:
+        short = out_of_memory()
+        _complain(short.message, short.hint, debug)
+        sys.exit(short.exit_code)
     except Exception as error:  # a bug of ours; even so, users see no traceback
         _complain(shown(error, LONGEST_MESSAGE), "", debug)
         if not debug:
@@ -134,5 +140,9 @@ def _complain(message: str, hint: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
     say(f"error: {message}", err=True)
+    try:
+        os.getcwd()
+    except OSError:  # then no relative path leads anywhere
+        hint = "The current folder has been removed: enter one that exists (cd), and run again."
     if hint:
         say(hint, err=True)

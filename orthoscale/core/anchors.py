@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .by_value import ByValue
 from .linked import linked
 
 SAMPLED = 0.05  # spacing of the points at which lines are compared [anchors' reference lengths]
@@ -47,8 +48,8 @@ def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
     return own or [standard for standard in standards if not standard.countries] or list(standards)
 
 
-@dataclass(frozen=True)
-class Anchor:
+@dataclass(frozen=True, eq=False)
+class Anchor(ByValue):
     """One object of standard size that was found in a picture.
 
     kind : "tennis court" ..., in words. picture : the picture's name, empty until the search is over.
@@ -80,8 +81,8 @@ class Anchor:
         return np.array([standard.metres / self.pixels for standard in self.standards])
 
 
-@dataclass(frozen=True)
-class AnchorVote:
+@dataclass(frozen=True, eq=False)
+class AnchorVote(ByValue):
     """One anchor on the ground of a source, however many pictures show it.
 
     anchor : as its best picture shows it. place : (D,) where it lies, and units : its reference length [source units].

@@ -10,6 +10,7 @@ import numpy as np
 
 from .angles import axis_angle, quarter_turn, unit_vector
 from .brief import Brief
+from .by_value import ByValue
 
 SAME_VEHICLE = 0.5  # intersection over union from which two boxes are one vehicle's; side by side they share nothing
 HEAPED = 250  # mean number of neighbours per box from which the boxes cannot be vehicles; closely packed ones have 30
@@ -30,8 +31,8 @@ def of_each(values: np.ndarray, name: str, rows: int, columns: int) -> np.ndarra
     return each
 
 
-@dataclass(frozen=True, repr=False)
-class Boxes(Brief):
+@dataclass(frozen=True, eq=False, repr=False)
+class Boxes(ByValue, Brief):
     """N oriented boxes in one image.
 
     xylwa : (N, 5) float64, centre x, centre y, length (long side), width [px], angle [rad].

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .by_value import ByValue
 from .market_segments import AXES, Class, PlaceKind, classes_of, kinds_of, place_scatter, place_vehicles, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
@@ -24,8 +25,8 @@ MOSTLY, MOSTLY_SD = 0.7, 0.25
 WORLD = "WORLD"  # code of the fleet of a place whose country is not known
 
 
-@dataclass(frozen=True)
-class Fleet:
+@dataclass(frozen=True, eq=False)
+class Fleet(ByValue):
     """The vehicles of one country or region.
 
     mean, sd : (3,) length, width, height [m]: mean, and spread between vehicles.

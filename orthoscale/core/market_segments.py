@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import entr
 
+from .by_value import ByValue
+
 AXES = ("length", "width", "height")
 # Classes are merged while that loses at most this much of what a vehicle's box tells of its class [nats]. At 0.05
 # China's and Brazil's minis were lost among small cars. A lower limit separates classes whose shares no car park can
@@ -66,8 +68,8 @@ KINDS_OF = {
 }
 
 
-@dataclass(frozen=True)
-class Class:
+@dataclass(frozen=True, eq=False)
+class Class(ByValue):
     """One part of a fleet, normal in (length, width, height): `weight` is its share of the vehicles."""
 
     name: str

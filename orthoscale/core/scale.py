@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .brief import Brief
+from .by_value import ByValue
 from .evidence import Evidence, Support
 from .normal import Z90
 from .remarks import Remark, by_severity
@@ -28,8 +29,8 @@ def with_interval(value: float, low: float, high: float, unit: str) -> str:
     return f"{value:.{places}f} {unit} (90 %: {low:.{places}f} to {high:.{places}f})"
 
 
-@dataclass(frozen=True, repr=False)
-class Scale(Brief):
+@dataclass(frozen=True, eq=False, repr=False)
+class Scale(ByValue, Brief):
     """Metres per unit of the source, and how well that is known.
 
     value : metres per pixel of an orthophoto, or per unit of a model.

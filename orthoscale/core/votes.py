@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from .boxes import KINDS, of_each, unknown
+from .by_value import ByValue
 from .linked import linked
 
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
@@ -52,8 +53,8 @@ class Sightings:
         return replace(self, **{name: part[index] for name, part in parts.items() if part is not None})
 
 
-@dataclass(frozen=True)
-class Votes:
+@dataclass(frozen=True, eq=False)
+class Votes(ByValue):
     """N vehicles, each measured once (an orthophoto) or as the median over its views (frames).
 
     size : (N, 2) length and width [source units].

@@ -13,7 +13,7 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..core.progress import Progress
-from ..errors import InputError, TooLittleEvidence
+from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.csv_table import write_csv
 from ..formats.names import write_json
 from ..photos.depth.maps import Depths
@@ -26,7 +26,9 @@ from .readers import Sample, read_samples
 def samples_of(
     path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
 ) -> tuple[list[Sample], list[str]]:
-    """`read_samples`, without photos whose pitch is flatter than `max_pitch` [deg]. Raises InputError."""
+    """`read_samples`, without photos whose pitch is flatter than `max_pitch` [deg]. Raises InputError, UsageError."""
+    if max_pitch is not None and not -90 <= max_pitch <= 0:
+        raise UsageError(f"--max-pitch must lie between -90 (straight down) and 0 (the horizon), not {max_pitch:g}")
     samples, notes = read_samples(path, form, lens_file, focal_px)
     if max_pitch is None:
         return samples, notes

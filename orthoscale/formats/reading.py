@@ -11,7 +11,7 @@ import io
 import os
 import re
 import stat
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +25,9 @@ LARGE = 256 * MIB  # a list of vehicles: two million boxes
 HUGE = 1024 * MIB  # a model with its points
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how a text in it begins
 LFS_POINTER = b"version https://git-lfs"  # how it begins
+# Endings of the metadata that GDAL reads for pictures of other names, too: ``METADATA.DIM`` of SPOT, ``DIM_x.XML`` of
+# Pleiades, ``x_MTL.txt`` of Landsat, ``x.pass`` and ``x.rpc`` of EROS. Found by tracing what GDAL 3.10 opens.
+OF_SATELLITES = (".dim", ".pass", ".rpc", ".txt", ".xml")
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 NOT_FETCHED = "Only files on this computer are read: download or unpack it, and give the file."
@@ -63,13 +66,13 @@ def read_bytes(path: Path, hint: str, most: int = SMALL) -> bytes:
     """The content of the regular file `path`, which has `most` bytes or fewer. Raises InputError."""
     check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
     try:
-        large, content = path.stat().st_size > most, b""
-        if not large:  # a file that is too large is not read at all
-            with path.open("rb") as file:
-                content = file.read(most + 1)
+        size, content = path.stat().st_size, b""
+        if size <= most:  # a file that is too large is not read at all
+            with path.open("rb") as file:  # `read` takes as much memory as it is asked for, and `most` may be a budget
+                content = file.read(min(max(size, SMALL), most) + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", hint) from error
-    if large or len(content) > most:
+    if size > most or len(content) > most:
         raise InputError(f"{path}: larger than the {most // MIB} MiB that such a file may have", hint)
     return content
 
@@ -94,11 +97,13 @@ def check_regular(path: Path, hint: str) -> None:
 
 def refuse_pipes_beside(files: Iterable[Path]) -> None:
     """Raise InputError for a pipe or a device that lies beside one of `files` and is named as if it belonged to it,
-    such as ``a.tfw`` or ``a_rpc.txt``: GDAL would read it as well, and wait for its other end."""
+    such as ``a.tfw`` or ``a_rpc.txt``, or to any picture there: GDAL would read it as well, and wait for its other
+    end."""
     pipes = cache(_pipes_in)
     for path in files:
         for pipe in pipes(path.parent):
-            if pipe.name.lower().startswith((f"{path.stem.lower()}.", f"{path.stem.lower()}_")):
+            name = pipe.name.lower()
+            if name.startswith((f"{path.stem.lower()}.", f"{path.stem.lower()}_")) or name.endswith(OF_SATELLITES):
                 raise InputError(f"{pipe} is a pipe or a device, and is read together with {path}", "Move it away.")
 
 
@@ -123,11 +128,14 @@ def refuse_pointer(path: Path) -> None:
         raise InputError(f"{path}: only a pointer of Git LFS, not the file", "Fetch the file with `git lfs pull`.")
 
 
-def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Path]:
+def files_below(
+    folder: Path, suffixes: Container[str] | None = None, onerror: Callable[[OSError], None] | None = None
+) -> list[Path]:
     """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
-    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder."""
+    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder. onerror :
+    called for a folder that cannot be read, which is else left out."""
     found = []
-    for place, _, names in os.walk(folder):
+    for place, _, names in os.walk(folder, onerror=onerror):
         for name in names:
             path = Path(place, name)
             if (suffixes is None or path.suffix.lower() in suffixes) and path.is_file():

@@ -169,7 +169,8 @@ def register(
 
 
 def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
-    """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse for it."""
+    """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse or
+    far too small for it."""
     size = seen.size * float(np.sqrt(scales[0] * scales[1]))
     grid = MapGrid.of(satellite, float(size.max()) / ACROSS)
     if size.min() / grid.gsd < SMALLEST_ON_MAP:
@@ -178,6 +179,12 @@ def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> 
             f"the picture shows {size[0]:.0f} x {size[1]:.0f} m, {across:.0f} x {down:.0f} px of "
             f"{satellite.source.name}; each side needs {SMALLEST_ON_MAP:.0f} px",
             "Use a map with smaller pixels, or a picture from higher up.",
+        )
+    if grid.size.max() < 1:
+        raise TooLittleEvidence(
+            f"the picture shows {size[0]:.3g} x {size[1]:.3g} m, all of {satellite.source.name} less than a "
+            f"{ACROSS:.0f}th of that",
+            "Check the picture's GSD, and take a map that holds it.",
         )
     return grid
 

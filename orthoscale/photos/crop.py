@@ -20,6 +20,7 @@ from ..core.source import Picture
 from ..errors import UsageError
 from ..formats.names import write_json
 from ..formats.pictures import write_jpeg
+from ..option import positive
 from ..sources.satellite import Satellite
 
 MOST_WINDOWS = 100_000
@@ -105,8 +106,9 @@ def _check_search(gsd: float, at: tuple[float, float] | None, radius: float | No
         raise UsageError("--radius needs the middle of the search area", "Give --at LON,LAT.")
     if radius is None and at is not None and stride is not None:
         raise UsageError("--stride does nothing here: --at without --radius is one crop", "Give --radius METRES.")
-    if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
-        raise UsageError("a GSD or radius that is not a positive number of metres")
+    positive("--gsd", gsd)
+    if radius is not None:
+        positive("--radius", radius)
 
 
 def _windows(window: np.ndarray, low: np.ndarray, high: np.ndarray, whole: np.ndarray, stride: float) -> np.ndarray:

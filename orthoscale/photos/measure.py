@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
+from ..core.by_value import ByValue
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation, larger_by
@@ -55,8 +56,8 @@ class Interval90:
         return Interval90(self.value * factor, self.low * factor, self.high * factor)
 
 
-@dataclass(frozen=True)
-class PhotoScale:
+@dataclass(frozen=True, eq=False)
+class PhotoScale(ByValue):
     """The scale by the vehicles of a photo, or of several photos from one altitude, with what follows from it.
 
     scale : metres per pixel of the nadir view from the same altitude, with `used` and `reasons` by box.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
+from ..core.by_value import ByValue
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..errors import InputError, UsageError
@@ -28,8 +29,8 @@ RIGHT = np.array([1.0, 0.0, 0.0])  # of the camera
 OUTLINE_ELEVATION = 10.0  # [deg] a corner that sees the ground at less lies too far away to mean anything
 
 
-@dataclass(frozen=True)
-class Photo:
+@dataclass(frozen=True, eq=False)
+class Photo(ByValue):
     """One photo: its pixels, its lens, and which way it looks.
 
     up : (3,) the vertical in camera coordinates, as in `core.projection.level`. up_sd : one sigma of its tilt [rad].

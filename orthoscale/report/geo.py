@@ -9,6 +9,7 @@ import numpy as np
 from rasterio.warp import transform
 
 from ..core.affine import transformed
+from ..core.projection.planar import footprints
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.degrees import WGS_84, about_meridian
@@ -76,9 +77,9 @@ def table(result: Result, place: Placement) -> dict[str, np.ndarray]:
 
 def outlines(result: Result, place: Placement) -> np.ndarray:
     """(N, 5, 2) closed outlines of the vehicles in the coordinates of `place`."""
+    assert result.source.plan is not None, "reconstructions have none"
     box = np.array([members[0] for members in result.votes.members], int)
-    corners = result.boxes[box].corners
-    ring = transformed(corners, place.transform)
+    ring = transformed(footprints(result.boxes[box], result.source.plan.claimed.aspect), place.transform)
     return np.concatenate([ring, ring[:, :1]], 1)
 
 

@@ -27,6 +27,7 @@ from .cameras import SCALED_MARK, refuse_another
 from .colmap_beside import copy_beside
 from .colmap_check import open_model
 from .colmap_dense import dense_of
+from .colmap_find import model_folders
 from .colmap_read import images_of, read_model
 from .colmap_write import write_scaled
 from .consistency import check_consistency, loose_images
@@ -55,7 +56,8 @@ FEW_POINTS = 500  # with fewer points of three views or more, those of two are u
 class ColmapSource:
     """A sparse COLMAP model with its frames. Open it with `ColmapSource.open`; the files are never changed.
 
-    path : what was opened. folder : the model's own folder, at or below it. input_format : 'bin' or 'txt'.
+    path : what was opened, or of several models in it the one that was taken. folder : the model's own folder, at or
+    below it. input_format : 'bin' or 'txt'.
     pictures : the frames that are on disk, in the order of their names.
     notes : what was chosen or left out while opening, for the report.
     unit : of a scale of this source, as `write` takes it.
@@ -89,7 +91,10 @@ class ColmapSource:
         Raises InputError for a missing, damaged or inconsistent model (`check_consistency`), missing frames, or frames
         of another size than their camera.
         """
-        files = open_model(Path(path))
+        path = Path(path)
+        files = open_model(path)
+        if len(model_folders(path)) > 1:
+            path = files.folder
         model = read_model(files.folder, files.format)
         loose = loose_images(model, files.seen)
         consistency = check_consistency(files.folder, model, files.seen, loose)
@@ -107,7 +112,7 @@ class ColmapSource:
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(
-            path=Path(path),
+            path=path,
             folder=files.folder,
             input_format=files.format,
             pictures=pictures,

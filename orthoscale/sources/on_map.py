@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from ..core.by_value import ByValue
 from ..core.evidence import Evidence
 from ..core.source import Placement
 
 
-@dataclass(frozen=True)
-class OnMap:
+@dataclass(frozen=True, eq=False)
+class OnMap(ByValue):
     """The result of matching an input with a map.
 
     evidence : one piece, or none if the input was not found on the map. notes : what a user should know.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..angles import unit_vector
+from ..by_value import ByValue
 from ..normal import Z90
 from ..projection.planar import square_pixels
 from ..remarks import REFUSAL, Remark, percent
@@ -68,8 +69,8 @@ class Trend:
         return f"{100 * self.tilt:.1f} %"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Drift(Trend):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drift(ByValue, Trend):
     """The trend of the scale over one picture, and the map of it.
 
     cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], number of vehicles, relative

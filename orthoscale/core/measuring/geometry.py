@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -31,7 +31,7 @@ class Observation:
 
     size: np.ndarray
     ruler: Ruler
-    systematic: Systematic = Systematic()
+    systematic: Systematic = field(default_factory=Systematic)
     lasting: np.ndarray | None = None
 
     @cached_property

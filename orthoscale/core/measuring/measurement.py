@@ -10,6 +10,7 @@ import numpy as np
 
 from ..anchors import AnchorVote
 from ..boxes import Boxes
+from ..by_value import ByValue
 from ..pooling.agreement import Agreement
 from ..projection.own_ruler import OwnRuler
 from ..projection.self_calibration import Trends
@@ -44,8 +45,8 @@ class Findings:
     drift: Drift | ModelDrift | None = None
 
 
-@dataclass(frozen=True)
-class Pooled:
+@dataclass(frozen=True, eq=False)
+class Pooled(ByValue):
     """The inputs of pooling other than the votes, the fleet and the method.
 
     ruler : the part of the detector's ruler that has not been corrected for in the votes. systematic : errors common to
@@ -54,13 +55,13 @@ class Pooled:
     """
 
     ruler: Ruler = Ruler()
-    systematic: Systematic = Systematic()
+    systematic: Systematic = field(default_factory=Systematic)
     noise: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     more: Sequence[AnchorVote] = ()
 
 
-@dataclass(frozen=True)
-class Measurement:
+@dataclass(frozen=True, eq=False)
+class Measurement(ByValue):
     """The scale of one source by its vehicles, and what it was computed from.
 
     boxes : all M that were measured. picture : (M,) name of the picture of each. lost : number of boxes that never

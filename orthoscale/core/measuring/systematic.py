@@ -11,14 +11,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..by_value import ByValue
+
 # Names of shared causes: errors of the card's effective height at the ends and at the sides of vehicles; and errors of
 # the bodies fitted to the views of a reconstruction, as far as they are not the card's.
 ENDS, SIDES = "height of ends", "height of sides"
 FITTED_ENDS, FITTED_SIDES = "fitted ends", "fitted sides"
 
 
-@dataclass(frozen=True)
-class Systematic:
+@dataclass(frozen=True, eq=False)
+class Systematic(ByValue):
     """Errors common to all sizes of one measuring mode.
 
     own : (2,) relative one-sigmas of all lengths, and of all widths, that no other mode shares. shared : by cause, (2,)

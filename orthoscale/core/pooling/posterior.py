@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from ..by_value import ByValue
+
 NEGLIGIBLE = 1e-9  # weight of a part, as a share of the largest, below which the part is left out
 
 
-@dataclass(frozen=True)
-class Posterior:
+@dataclass(frozen=True, eq=False)
+class Posterior(ByValue):
     """Weights, means and one-sigmas (K,) of the parts of the mixture, in logarithms; the weights sum to one."""
 
     weight: np.ndarray

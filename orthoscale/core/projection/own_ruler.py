@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
+from ..by_value import ByValue
 from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
@@ -48,8 +49,8 @@ class SeenBoxes:
         return replace(self, boxes=self.boxes[some], views=self.views[some])
 
 
-@dataclass(frozen=True)
-class OwnRuler:
+@dataclass(frozen=True, eq=False)
+class OwnRuler(ByValue):
     """A ruler for lengths and for widths: height [m], margin [detector px], undercut [m], lean [1/m], corner [of the
     width].
 

@@ -22,3 +22,12 @@ def square_pixels(aspect: float) -> np.ndarray:
     """(2,) width and height of a pixel that is `aspect` times as wide as high [square pixels of the same area]."""
     wide = np.sqrt(aspect)
     return np.array([wide, 1 / wide])
+
+
+def footprints(boxes: Boxes, aspect: float) -> np.ndarray:
+    """(N, 4, 2) corners of `boxes` [px of the orthophoto] as rectangles on the ground, in the order of `Boxes.corners`:
+    in pixels that are `aspect` times as wide as high, a box itself is a parallelogram there."""
+    square = square_pixels(aspect)
+    along = boxes.along * square
+    level = np.column_stack([boxes.centre * square, ground_size(boxes, aspect), np.arctan2(along[:, 1], along[:, 0])])
+    return Boxes(level, boxes.score).corners / square

@@ -121,10 +121,11 @@ def scale_dense(
     """Write the dense workspace `source` into the empty folder `target` in metres; returns notes for the user.
 
     model : writes the sparse model in one folder into another, in metres. any_file : writes one file in metres, or
-    returns why it cannot; such a file is left out. Raises what these raise, and InputError for a damaged depth map.
+    returns why it cannot; such a file is left out. Raises what these raise, and InputError for a damaged depth map and
+    for a folder that cannot be read.
     """
     left, scaled = [], 0
-    for path in files_below(source):
+    for path in files_below(source, onerror=_unreadable):
         place = path.relative_to(source)
         if place.parts[0] == "sparse" and len(place.parts) > 1:
             continue
@@ -158,6 +159,10 @@ def scale_dense(
         what = "because links to folders are not followed, nor links to nothing and pipes read"
         notes.append(f"left in {source}, {what}: {first_few(passed, MOST_LEFT_NAMED)}")
     return notes
+
+
+def _unreadable(error: OSError) -> None:
+    raise InputError(f"{error.filename}: cannot be read ({error.strerror})", "Check its permissions.") from error
 
 
 def _passed_over(dense: Path) -> Iterator[str]:

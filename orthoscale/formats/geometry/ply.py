@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import InputError
-from ..reading import EXPORT_ANEW
+from ..reading import EXPORT_ANEW, reason
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
 from .properties import left_as_they_are
@@ -190,7 +190,9 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
         if form not in ORDER or any(e.count < 0 for e in elements):
             raise ValueError("no known format, or a negative count")
     except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{path}, line {len(lines) + 1}: not a PLY header ({error})", EXPORT_ANEW) from error
+        raise InputError(
+            f"{path}, line {max(len(lines), 1)}: not a PLY header ({reason(error)})", EXPORT_ANEW
+        ) from error
     return lines, form, elements
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InputError
-from ..reading import read_text
+from ..reading import read_text, reason
 
 BUNDLER, NVM = ".out", ".nvm"
 SUFFIXES = (BUNDLER, NVM)
@@ -76,7 +76,7 @@ def read_text_model(path: Path) -> TextModel:
             raise ValueError("a point was seen by a camera that does not exist")
         return model
     except (ValueError, OverflowError) as error:  # the latter for an integer with hundreds of digits
-        raise _damaged(path, str(error)) from error
+        raise _damaged(path, reason(error)) from error
 
 
 def image_names(path: Path, text: TextModel) -> tuple[list[str], list[Path]]:
@@ -146,7 +146,7 @@ def _lines(path: Path) -> Iterator[Line]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
     except ValueError as error:  # malformed numbers or counts, or bytes that are not UTF-8
-        raise _damaged(path, f"line {number}: {error}") from error
+        raise _damaged(path, f"line {number}: {reason(error)}") from error
 
 
 def _damaged(path: Path, why: str) -> InputError:
