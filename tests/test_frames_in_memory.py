@@ -75,9 +75,9 @@ class Used:
 
 @pytest.mark.parametrize("size, at_once", [(1000, 3), (1600, 1), (3100, 1), (9000, 1)])
 def test_threads_hold_no_more_pictures_than_there_is_room_for(monkeypatch, size, at_once):
-    """Those larger than LARGE_SHARE one at a time."""
+    """Those larger than ALONE_SHARE one at a time."""
     monkeypatch.setattr(picture_file, "USED_SHARE", 3100 / 2**30)
-    monkeypatch.setattr(picture_file, "LARGE_SHARE", 1500 / 2**30)
+    monkeypatch.setattr(picture_file, "ALONE_SHARE", 1500 / 2**30)
     memory, used = Memory(), Used(at_once)
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(lambda k: used.hold(memory, k, size), range(6)))

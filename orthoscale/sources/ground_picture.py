@@ -17,7 +17,7 @@ from ..core.projection.view import even_pixels
 from ..core.source import GROUND_FOLDER, NEAR_NADIR, NO_DATA_GREY, PosedSet
 from ..errors import InputError
 from ..system import budget
-from .picture_file import LARGE_SHARE, PictureFile, covering, memory, resized, shrunk
+from .picture_file import ALONE_SHARE, PictureFile, covering, memory, resized, shrunk
 
 SHOWN_BELOW = 8.0  # [deg] shown beyond the limit NEAR_NADIR, so that a vehicle at the limit is whole
 SAMPLES = (32, 24)  # points of a frame, across and down, to find which ground it sees
@@ -55,7 +55,7 @@ class GroundPicture:
                 f"{self.image}: its frame is not available", "Give the folder of the frames with --images."
             )
         size = 3 * self.width * self.height
-        if self.frame.large or size > LARGE_SHARE * budget.memory():
+        if self.frame.large or size > ALONE_SHARE * budget.memory():
             # Only the window, and no finer than needed: the whole would take as much memory as the frame once more.
             shrink = min(width // max(out_width, 1), height // max(out_height, 1))
             part, factor = _warped(self, x, y, width, height, shrink)

@@ -21,22 +21,29 @@ from ..formats.reading import refuse_pointer
 from ..system import budget
 from .fingerprint import Stamp, changed, fingerprint
 
+LARGE = 5e6  # [px] from which size on a frame is decoded no finer than needed
 # Shares of the memory budget: what decoded pictures that are kept may take together; what those may take that threads
-# use at once, where one that is made of another counts once; and from which size on a picture is large: it is then
-# decoded no finer than needed, and used alone.
-KEPT_SHARE, USED_SHARE, LARGE_SHARE = 1 / 8, 1 / 4, 1 / 16
+# use at once, where one that is made of another counts once; and from which size on one is used alone, and decoded in
+# strips.
+KEPT_SHARE, USED_SHARE, ALONE_SHARE = 1 / 8, 1 / 4, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 ORIENTATION, TIFF_LONG = 0x0112, 4  # TIFF's and EXIF's tag of how a picture is turned; TIFF's type of 32 bits
-REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
+JPEG = b"\xff\xd8"
+REDUCED = {
+    1: cv2.IMREAD_COLOR,
+    2: cv2.IMREAD_REDUCED_COLOR_2,
+    4: cv2.IMREAD_REDUCED_COLOR_4,
+    8: cv2.IMREAD_REDUCED_COLOR_8,
+}
 
 
 @dataclass
 class PictureFile:
     """A `Picture` in a JPEG, PNG or TIFF file of `width` x `height` px, decoded whole when it is first read.
 
-    The EXIF orientation is ignored, as in COLMAP. The latest frames stay in memory, the others are dropped. A large
-    JPEG is decoded at a half, a quarter or an eighth of its size if no more is needed.
+    The EXIF orientation is ignored, as in COLMAP. The latest frames stay in memory, the others are dropped. A large one
+    is kept at a half, a quarter or an eighth of its size if no more is needed; a JPEG is not decoded any finer.
     """
 
     name: str
@@ -55,8 +62,8 @@ class PictureFile:
 
     @property
     def large(self) -> bool:
-        """Whether it is decoded no finer than needed, and alone."""
-        return 3 * self.width * self.height > LARGE_SHARE * budget.memory()
+        """Whether it is decoded no finer than needed."""
+        return self.width * self.height > LARGE
 
     @contextmanager
     def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
@@ -87,11 +94,10 @@ class PictureFile:
 
     def _decoded(self, factor: int) -> np.ndarray:
         self.check_size()  # before memory is spent on it
-        if self.large:
+        if 3 * self.width * self.height > ALONE_SHARE * budget.memory():
             if factor == 1 and (pixels := _in_strips(self.path)) is not None:
                 return pixels
-            # OpenCV decodes other formats whole before it reduces them, and holds them twice.
-            whole = factor if _is_jpeg(self.path) else 1
+            whole = factor if _is_jpeg(self.path) else 1  # of other formats the whole is there twice
             budget.require(budget.LEAST_BYTES + 6 * self.width * self.height / whole**2, f"{self.path}")
         pixels = _decode(self.path, factor)
         size = pixels.shape[1], pixels.shape[0]
@@ -166,7 +172,7 @@ class Memory:
             yield
             return
         most = USED_SHARE * budget.memory()
-        taken = most if size > LARGE_SHARE * budget.memory() else min(size, most)
+        taken = most if size > ALONE_SHARE * budget.memory() else min(size, most)
         with self._room:
             self._room.wait_for(lambda: self._used + taken <= most)
             self._used += taken
@@ -204,15 +210,18 @@ memory = Memory()
 
 
 def _decode(path: Path, factor: int) -> np.ndarray:
-    """BGR pixels of the file, reduced by `factor`."""
-    flag = REDUCED.get(factor, cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
+    """BGR pixels of the file, reduced by `factor`: of a JPEG those of the decoder, of others means."""
     pixels = None
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             # OpenCV silently fills the missing part of a truncated file with grey.
             if _is_complete(data):
                 stored = _as_stored(data) if data[:4] in TIFFS else data
-                pixels = cv2.imdecode(np.frombuffer(stored, np.uint8), flag)
+                is_jpeg = data[:2] == JPEG
+                flag = REDUCED[factor] if is_jpeg else cv2.IMREAD_COLOR
+                pixels = cv2.imdecode(np.frombuffer(stored, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+                if pixels is not None and not is_jpeg:
+                    pixels = _reduced(pixels, factor)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
     except (ValueError, cv2.error):  # an empty file cannot be mapped
@@ -221,6 +230,15 @@ def _decode(path: Path, factor: int) -> np.ndarray:
         refuse_pointer(path)
         raise InputError(f"{path}: image is truncated or cannot be decoded", "Copy it again from its original.")
     return pixels
+
+
+def _reduced(pixels: np.ndarray, factor: int) -> np.ndarray:
+    """The means of `factor` x `factor` pixels; the last ones of a row or column are repeated where they are fewer."""
+    if factor == 1:
+        return pixels
+    height, width = pixels.shape[:2]
+    filled = cv2.copyMakeBorder(pixels, 0, -height % factor, 0, -width % factor, cv2.BORDER_REPLICATE)
+    return cv2.resize(filled, (filled.shape[1] // factor, filled.shape[0] // factor), interpolation=cv2.INTER_AREA)
 
 
 def _as_stored(data: mmap.mmap) -> mmap.mmap | bytearray:
@@ -273,12 +291,12 @@ def _in_strips(path: Path) -> np.ndarray | None:
 
 def _is_jpeg(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(2) == b"\xff\xd8"
+        return file.read(2) == JPEG
 
 
 def _is_complete(data: bytes | mmap.mmap) -> bool:
     """Whether a JPEG or PNG has its end marker; other formats are left to their decoder."""
-    if data[:2] == b"\xff\xd8":
+    if data[:2] == JPEG:
         frame = _jpeg_marker(data, 0xDA)
         return frame is not None and data.find(b"\xff\xd9", frame) >= 0
     if data[:4] == b"\x89PNG":
@@ -296,7 +314,7 @@ def stored_size(path: Path) -> tuple[int, int] | None:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
     if data.startswith(b"\x89PNG") and len(data) >= 24:
         return struct.unpack_from(">II", data, 16)
-    if data.startswith(b"\xff\xd8"):
+    if data.startswith(JPEG):
         frame = _jpeg_marker(data, 0xC0, 0xC1, 0xC2)
         if frame is not None and frame + 9 <= len(data):
             height, width = struct.unpack_from(">HH", data, frame + 5)
