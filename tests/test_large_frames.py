@@ -46,6 +46,15 @@ def test_a_large_frame_shows_the_same(tmp_path, smooth, all_large, suffix):
         assert np.abs(frame.read(x, y, width, height, *out).astype(int) - wanted).mean() < 4
 
 
+def test_what_is_no_jpeg_is_reduced_to_means(tmp_path, all_large):
+    """Not to every fourth pixel or two, which would show noise that no detector was trained for."""
+    noise = np.random.default_rng(0).integers(0, 255, (470, 630, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), noise)
+    part = PictureFile("a", tmp_path / "a.png", 630, 470).read(0, 0, 628, 468, 157, 117)
+    wanted = cv2.resize(noise[:468, :628, ::-1], (157, 117), interpolation=cv2.INTER_AREA)
+    assert np.abs(part.astype(int) - wanted).max() <= 1
+
+
 def test_large_jpegs_are_decoded_at_the_size_needed(tmp_path, smooth, all_large):
     path = tmp_path / "a.jpg"
     cv2.imwrite(str(path), smooth)
