@@ -26,7 +26,7 @@ def smooth():
 @pytest.fixture
 def all_large(monkeypatch):
     """Whatever is decoded counts as large."""
-    monkeypatch.setattr(picture_file, "LARGE", 0)
+    monkeypatch.setattr(picture_file, "LARGE_FRAME", 0)
     for module in (picture_file, ground_picture):
         monkeypatch.setattr(module, "ALONE_SHARE", 0.0)
 
@@ -77,7 +77,7 @@ def test_the_ground_under_a_large_frame(tmp_path, smooth, monkeypatch):
     window = (37, 21, 203, 150)
     part = picture.read(*window, 203, 150)
     assert (part == whole[21:171, 37:240]).all()
-    monkeypatch.setattr(picture_file, "LARGE", 0)
+    monkeypatch.setattr(picture_file, "LARGE_FRAME", 0)
     coarse = picture.read(32, 16, 240, 160, 60, 40)
     wanted = cv2.resize(whole[16:176, 32:272], (60, 40), interpolation=cv2.INTER_AREA)
     assert np.abs(coarse.astype(int) - wanted).mean() < 6

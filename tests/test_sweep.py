@@ -448,10 +448,11 @@ def test_all_of_detect_that_tiles_and_measurer_use_is_part_of_the_key_and_nothin
 
 
 def test_all_of_the_core_that_finders_compute_with_is_part_of_the_key():
-    """All but what only describes pictures and tiles, or makes standards, which are themselves in the key."""
+    """All but what only describes pictures and tiles, compares results, or makes standards, which are themselves in the
+    key."""
     finders = {name for name in MODULES if name.startswith("anchors.")}
     used = {each for name in {*finders, "core.anchors"} for each in imports(name) if each.startswith("core.")}
-    used -= {"core.detections", "core.source", "core.measuring.parking"}
+    used -= {"core.by_value", "core.detections", "core.source", "core.measuring.parking"}
     assert {pattern for pattern in CODE_OF_FINDERS if pattern.startswith("core/")} == {
         f"{name.replace('.', '/')}.py" for name in used
     }

@@ -21,7 +21,7 @@ from ..formats.reading import refuse_pointer
 from ..system import budget
 from .fingerprint import Stamp, changed, fingerprint
 
-LARGE = 5e6  # [px] from which size on a frame is decoded no finer than needed
+LARGE_FRAME = 5e6  # [px] from which size on a frame is decoded no finer than needed
 # Shares of the memory budget: what decoded pictures that are kept may take together; what those may take that threads
 # use at once, where one that is made of another counts once; and from which size on one is used alone, and decoded in
 # strips.
@@ -63,7 +63,7 @@ class PictureFile:
     @property
     def large(self) -> bool:
         """Whether it is decoded no finer than needed."""
-        return self.width * self.height > LARGE
+        return self.width * self.height > LARGE_FRAME
 
     @contextmanager
     def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
