@@ -118,7 +118,7 @@ def main() -> None:
     parser.add_argument("--copies", type=int, nargs="+", default=[1, 3, 6, 12])
     parser.add_argument("--times", type=int, default=1)
     asked = parser.parse_args()
-    print("| frames | looked at | s | processor s | peak memory [MB] |")
+    print("| frames | sweep | s | processor s | peak memory [MB] |")
     print("|---|---|---|---|---|")
     for copies in asked.copies:
         with tempfile.TemporaryDirectory() as folder:

@@ -11,6 +11,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from unicodedata import normalize
@@ -576,7 +577,10 @@ def test_parts_that_share_no_point(plain, tmp_path, form):
         pytest.approx(3 * np.ptp(first.sparse[0], axis=0)),
         pytest.approx(np.ptp(first.sparse[0], axis=0) / 3),
     )
-    assert not source.parts[0].parts and not ColmapSource.open(tmp_path / "one", need_images=False).parts
+    assert not list(first.parts) and not list(ColmapSource.open(tmp_path / "one", need_images=False).parts)
+    parts = source.parts
+    gone = weakref.ref(next(parts))
+    assert next(parts) and gone() is None, "each is a copy of the model, and there may be many"
     notes = source.notes
     assert [note.severity for note in notes if "share no point (12 and 12 images)" in note.text] == [CAUTION]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -269,7 +269,7 @@ class PosedSet(Measurable, Protocol):
 
     plan, posed : None, and itself; see `Source`. ground : under its cameras. focal : how far its focal length can be
     trusted. parts : those that share no point with each other, each as a reconstruction of its own, the largest first;
-    none if it holds together.
+    none if it holds together. Each is made when its turn comes, since it may hold a copy of the whole.
     """
 
     @property
@@ -279,7 +279,7 @@ class PosedSet(Measurable, Protocol):
     @property
     def ground(self) -> Ground: ...
     @property
-    def parts(self) -> Sequence[PosedSet]: ...
+    def parts(self) -> Iterator[PosedSet]: ...
     @property
     def focal(self) -> FocalDoubt: ...
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -135,11 +135,11 @@ class ColmapSource:
         """(M, 3) points that several images see, and (C, 3) camera centres [model units]."""
         return sparse_points(self._model), np.array(list(self.centres.values()))
 
-    @cached_property
-    def parts(self) -> list[ColmapSource]:
+    @property
+    def parts(self) -> Iterator[ColmapSource]:
         """Its parts that share no point with each other, each with its own images and points; none if it holds
-        together."""
-        return [self._part(images) for images in self._parts] if len(self._parts) > 1 else []
+        together. Each is made when its turn comes: it starts as a copy of the whole model."""
+        return map(self._part, self._parts if len(self._parts) > 1 else ())
 
     def _part(self, images: tuple[str, ...]) -> ColmapSource:
         model, names = copy(self._model), set(images)

@@ -64,9 +64,10 @@ def measure_posed(source: PosedSet, found: Detections, fleet: Fleet, method: Met
     Raises TooLittleEvidence, UsageError.
     """
     whole = _in_modes(source, found, fleet, method, mode)
-    if not source.parts:
+    scales = [(part.picture_names, _of_part(part, found, fleet, method)) for part in source.parts]
+    if not scales:
         return whole
-    parts = Parts.of([(part.picture_names, _of_part(part, found, fleet, method)) for part in source.parts])
+    parts = Parts.of(scales)
     return replace(whole, scale=parts.judged(whole.scale), parts=parts)
 
 
