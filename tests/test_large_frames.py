@@ -55,6 +55,21 @@ def test_what_is_no_jpeg_is_reduced_to_means(tmp_path, all_large):
     assert np.abs(part.astype(int) - wanted).max() <= 1
 
 
+@pytest.mark.parametrize("suffix, whole", [("png", True), ("JPG", False)])
+def test_room_is_made_for_what_decoding_takes(tmp_path, smooth, monkeypatch, suffix, whole):
+    """All of a frame but a JPEG's is there before it is reduced: many threads at once would fill the memory."""
+    monkeypatch.setattr(picture_file, "LARGE_FRAME", 0)
+    path = tmp_path / f"a.{suffix}"
+    cv2.imwrite(str(path), smooth)
+    rooms = []
+    with monkeypatch.context() as patched:
+        room_for = picture_file.memory._room_for
+        patched.setattr(picture_file.memory, "_room_for", lambda size: rooms.append(size) or room_for(size))
+        with PictureFile("a", path, 640, 480).pixels(4) as (pixels, _):
+            assert pixels.nbytes == 3 * 640 * 480 / 16
+    assert rooms == [3 * 640 * 480 // (1 if whole else 16)]
+
+
 def test_large_jpegs_are_decoded_at_the_size_needed(tmp_path, smooth, all_large):
     path = tmp_path / "a.jpg"
     cv2.imwrite(str(path), smooth)

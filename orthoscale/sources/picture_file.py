@@ -29,7 +29,7 @@ KEPT_SHARE, USED_SHARE, ALONE_SHARE = 1 / 8, 1 / 4, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 ORIENTATION, TIFF_LONG = 0x0112, 4  # TIFF's and EXIF's tag of how a picture is turned; TIFF's type of 32 bits
-JPEG = b"\xff\xd8"
+JPEG, JPEG_SUFFIXES = b"\xff\xd8", (".jpg", ".jpeg")
 REDUCED = {
     1: cv2.IMREAD_COLOR,
     2: cv2.IMREAD_REDUCED_COLOR_2,
@@ -70,8 +70,10 @@ class PictureFile:
         """The whole picture, BGR and read-only, for as long as the block lasts, and the factor by which it is reduced:
         1, or up to 8 for a large picture if it is needed at a `shrink`-th of its size only. Raises as `read`."""
         factor = next((f for f in (8, 4, 2) if f <= shrink), 1) if self.large else 1
-        size = 3 * self.width * self.height // factor**2
-        with memory.holding((self.stamp(), factor), size, lambda: self._decoded(factor)) as pixels:
+        whole = 3 * self.width * self.height
+        size = whole // factor**2
+        needs = size if self.path.suffix.lower() in JPEG_SUFFIXES else whole
+        with memory.holding((self.stamp(), factor), size, lambda: self._decoded(factor), needs) as pixels:
             yield pixels, factor
 
     def stamp(self) -> Stamp:
@@ -160,10 +162,10 @@ class Memory:
         self._mine = threading.local()
 
     @contextmanager
-    def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
+    def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray], needs: int = 0) -> Iterator[np.ndarray]:
         """The picture of `key`, stored or made by `make` [`size` bytes], which may hold another one. Waits until those
-        that other threads hold leave room for it."""
-        with self._room_for(size):
+        that other threads hold leave room for it, or for what making it `needs` [byte]."""
+        with self._room_for(max(size, needs)):
             yield self._get(key, size, make)
 
     @contextmanager
