@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 LONGEST_MESSAGE = 1500  # [characters] of a message or a hint: names and values from a file may be of any length
@@ -95,8 +96,12 @@ class Incomplete(OutputError):
         self.result = result
 
 
-def out_of_memory() -> InputError:
-    """The error where the machine itself, not the budget, has too little memory."""
-    return InputError(
-        "this machine has too little memory left", "Close other programs, or do less at once (--jobs, --workers)."
-    )
+@contextmanager
+def out_of_memory_told() -> Iterator[None]:
+    """Raises InputError where the machine itself, not the budget, has too little memory."""
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(
+            "this machine has too little memory left", "Close other programs, or do less at once (--jobs, --workers)."
+        ) from error

@@ -16,7 +16,7 @@ from typing import Any
 from ..core.claims import own_claim, verdict_on
 from ..core.source import Source
 from ..detect.workers import MOST_THREADS, cores
-from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, out_of_memory, shown
+from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, out_of_memory_told, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
 from ..requests import EstimateRequest, FixRequest
@@ -113,14 +113,12 @@ def one(job: Job) -> Row:
     path = absolute(job["input"])
     try:
         try:
-            _do(job, path, row)
+            with out_of_memory_told():
+                _do(job, path, row)
         except Incomplete as error:
             _fill_by_result(row, error.result)
             row["output"] = job["out"]
             raise
-    except MemoryError:
-        short = out_of_memory()
-        row |= {"exit_code": short.exit_code, "error": short.message, "hint": short.hint}
     except OrthoscaleError as error:
         said, named = shown(path, LONGEST_MESSAGE), shown(job["input"], LONGEST_MESSAGE)  # as the user named it
         message, hint = error.message.replace(said, named), error.hint.replace(said, named)

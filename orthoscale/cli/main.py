@@ -16,7 +16,7 @@ from typing import Any
 
 import click
 
-from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, out_of_memory, shown
+from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, out_of_memory_told, shown
 from ..system import quiet, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
@@ -98,7 +98,7 @@ def main() -> None:
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     try:
-        with stopping.listening(), nullcontext() if debug else quiet.unheard(), _read():
+        with stopping.listening(), nullcontext() if debug else quiet.unheard(), _read(), out_of_memory_told():
             result = cli.main(standalone_mode=False) or 0
             stopping.check()
         sys.exit(result)
@@ -125,10 +125,6 @@ def main() -> None:
         message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST_MESSAGE)
         _complain(message, "Check the file and its permissions.", debug)
         sys.exit(InputError.exit_code)
-    except MemoryError:
-        short = out_of_memory()
-        _complain(short.message, short.hint, debug)
-        sys.exit(short.exit_code)
     except Exception as error:  # a bug of ours; even so, users see no traceback
         _complain(shown(error, LONGEST_MESSAGE), "", debug)
         if not debug:
