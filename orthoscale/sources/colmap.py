@@ -27,7 +27,6 @@ from .cameras import SCALED_MARK, refuse_another
 from .colmap_beside import copy_beside
 from .colmap_check import open_model
 from .colmap_dense import dense_of
-from .colmap_find import model_folders
 from .colmap_read import images_of, read_model
 from .colmap_write import write_scaled
 from .consistency import check_consistency, loose_images
@@ -91,10 +90,7 @@ class ColmapSource:
         Raises InputError for a missing, damaged or inconsistent model (`check_consistency`), missing frames, or frames
         of another size than their camera.
         """
-        path = Path(path)
-        files = open_model(path)
-        if len(model_folders(path)) > 1:
-            path = files.folder
+        files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         loose = loose_images(model, files.seen)
         consistency = check_consistency(files.folder, model, files.seen, loose)
@@ -112,7 +108,7 @@ class ColmapSource:
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(
-            path=path,
+            path=files.path,
             folder=files.folder,
             input_format=files.format,
             pictures=pictures,

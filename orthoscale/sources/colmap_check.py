@@ -40,12 +40,14 @@ SAME_POSE = 1e-4  # [rad] and [of the largest coordinate] by which a pose may di
 class ModelFiles:
     """A COLMAP model on disk whose files have been checked and are sound.
 
-    folder : where it lies. format : 'bin' or 'txt'. paths : its files. stamps : of these, before they were read.
-    seen : a sample of the images' observations. parts : names of the images in each part of the model that shares no
-    point with the rest, the largest first, of two images or more.
+    path : what was opened, or of several models in it the one that was taken. folder : where it lies. format : 'bin' or
+    'txt'. paths : its files. stamps : of these, before they were read. seen : a sample of the images' observations.
+    parts : names of the images in each part of the model that shares no point with the rest, the largest first, of two
+    images or more.
     notes : what was chosen or left out on the way, for the report.
     """
 
+    path: Path
     folder: Path
     format: str
     paths: tuple[Path, ...]
@@ -62,13 +64,15 @@ def open_model(path: Path) -> ModelFiles:
     `sparse/0` or the like; of several models the one with the most images is taken.
     Raises InputError, saying which file, where in it and which image, for anything missing or damaged.
     """
-    folder, notes = find_folder(Path(path))
+    path = Path(path)
+    folder, others = find_folder(path)
     form, more = choose_format(folder)
     paths = paths_of(folder, form)
     stamps = tuple(map(Stamp.of, paths.values()))
     tables = TABLE_READERS[form](paths)
     _check(tables)
-    return ModelFiles(folder, form, tuple(paths.values()), stamps, _seen(tables), _parts(tables), (*notes, *more))
+    named, notes = folder if others else path, (*others, *more)
+    return ModelFiles(named, folder, form, tuple(paths.values()), stamps, _seen(tables), _parts(tables), notes)
 
 
 def check_model(folder: Path, form: str) -> None:
