@@ -14,6 +14,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from ..core.angles import quarter_turn
 from ..core.boxes import Boxes
 from .mesh import Mesh, faces, join
 from .scene import Scene
@@ -359,7 +360,7 @@ def vehicle_boxes(vehicles: tuple[Vehicle, ...], view: View, effective_height_m:
     corners = view.project(solid)
     ahead = corners[:, [1, 2, 5, 6]].mean(1) - corners[:, [0, 3, 4, 7]].mean(1)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    aside = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+    aside = quarter_turn(ahead)
     along, across = (np.einsum("nkc,nc->nk", corners, axis) for axis in (ahead, aside))
     centre = [(v.max(1) + v.min(1))[:, None] / 2 * axis for v, axis in ((along, ahead), (across, aside))]
     xylwa = np.column_stack([sum(centre), np.ptp(along, 1), np.ptp(across, 1), np.arctan2(ahead[:, 1], ahead[:, 0])])
