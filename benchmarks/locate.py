@@ -284,12 +284,12 @@ def main() -> None:
     cv2.setNumThreads(1)
     trials = kept(told.rows)
     done = {t.case for t in trials}
+    methods = [Method.of(name, told.embedding) for name in told.method]  # what one lacks is said before the first runs
     fine, rects = mosaic(orthophotos(), chips())
     with tempfile.TemporaryDirectory() as folder:
         city = City(fine, rects, written(fine, Path(folder) / "map.tif"))
-        for name in told.method:
-            method = Method.of(name, told.embedding)
-            for case in cases(name, told.photos):
+        for method in methods:
+            for case in cases(method.name, told.photos):
                 if case in done:
                     continue
                 trials.append(tried(city, method, case))

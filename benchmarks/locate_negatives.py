@@ -240,12 +240,12 @@ def main() -> None:
     before = told.rows.read_text().splitlines() if told.rows is not None and told.rows.exists() else []
     tries = [Try(**json.loads(row)) for row in before]
     done = {(t.method, t.number) for t in tries}
+    methods = [Method.of(name, told.embedding) for name in told.method]  # what one lacks is said before the first runs
     with tempfile.TemporaryDirectory() as folder:
         ground = Ground(Path(folder))
-        for name in told.method:
-            method = Method.of(name, told.embedding)
+        for method in methods:
             for kind, number in numbers(told.count):
-                if (name, number) in done:
+                if (method.name, number) in done:
                     continue
                 tries.append(tried(ground, method, kind, number))
                 if told.rows is not None:
