@@ -52,10 +52,23 @@ def test_both_thresholds_are_the_callers():
     assert alone.value == 1 and alone.interval90 == (-np.inf, np.inf)
 
 
+def paper_votes(length, score):
+    n = len(length)
+    size = np.stack([length, length / 2.4], 1)
+    return Votes(size, np.ones(n), np.ones(n, int), np.zeros((n, 2)), score, [np.array([k]) for k in range(n)])
+
+
+@pytest.mark.parametrize("unit", [0.01, 100.0])
+def test_each_vehicle_that_does_not_count_says_why(unit):
+    length = np.array([4.2, 4.3, 4.4, 4.5, 4.6, 2.0, 9.0, 4.4]) / unit
+    scale = pool_paper(paper_votes(length, np.array([0.9] * 7 + [0.3])), load_fleet("PAPER"), "m/px")
+    assert scale.reasons == [""] * 5 + ["beyond the whiskers, too small", "beyond the whiskers, too large"] + [
+        "score of 0.5 or less"
+    ]
+
+
 def test_vehicles_that_scatter_without_end_tell_no_scale():
     """The mean less its error would be below 0."""
-    length = 4.4 / np.array([0.1, 0.1, 0.12, 1.4, 1.5])
-    size = np.stack([length, length / 2.4], 1)
-    votes = Votes(size, np.ones(5), np.ones(5, int), np.zeros((5, 2)), np.ones(5), [np.array([k]) for k in range(5)])
+    votes = paper_votes(4.4 / np.array([0.1, 0.1, 0.12, 1.4, 1.5]), np.ones(5))
     with pytest.raises(TooLittleEvidence, match="scatter so much that the mean of 5"):
         pool_paper(votes, load_fleet("PAPER"), "m/px")

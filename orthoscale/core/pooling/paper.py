@@ -79,10 +79,9 @@ def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
     if not low > 0:
         raise TooLittleEvidence(f"the vehicles scatter so much that the mean of {found.used.sum()} gives no scale")
     sd = (high - low) / (2 * Z90 * found.value)
-    apart = np.log(each) - np.log(found.value)
     reasons = ["" if u else f"score of {MIN_SCORE:g} or less" for u in found.used]
     for k in np.flatnonzero(~found.used & (votes.score > MIN_SCORE)):
-        reasons[k] = "beyond the whiskers, too " + ("small" if apart[k] > 0 else "large")
+        reasons[k] = "beyond the whiskers, too " + ("small" if each[k] > found.value else "large")
     length, width = by_side[found.used].mean(0)
     return Scale(
         value=found.value,
