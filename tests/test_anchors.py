@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from support.anchors import SIDE, SQUARE, SquareFinder, squares
+from support.anchors import HALF, SIDE, SQUARE, SquareFinder, squares
 from support.in_process import run
 from support.reports import GSD, car_park
 
@@ -321,6 +321,16 @@ def test_what_was_looked_for_at_some_scale_is_not_called_too_small(two_kinds, tm
     path, options = empty_lot(tmp_path, small=True)
     found = orthoscale.estimate(path, **options)
     assert found.scale.evidence and not [r.text for r in found.remarks if "too small to be seen" in r.text]
+
+
+def test_one_thing_found_at_two_scales_is_one_anchor_of_either_size(two_kinds, monkeypatch, tmp_path):
+    both = {"painted square": Kind("support.anchors:squares_of_two_sizes", proven=True)}
+    monkeypatch.setattr(kinds, "ANCHOR_KINDS", kinds.ANCHOR_KINDS | both)
+    path, options = empty_lot(tmp_path, small=True)
+    found = orthoscale.estimate(path, **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.005)
+    of_either = [vote for vote in found.anchors.votes if vote.anchor.kind == "painted square"]
+    assert [{s.metres for s in vote.anchor.standards} for vote in of_either] == [{SQUARE.metres, HALF.metres}] * 5
 
 
 @pytest.mark.slow

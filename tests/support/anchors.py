@@ -79,3 +79,11 @@ SMALL = Standard("squares of 6 m", 6.0, 0.001, "drawn so")
 def small_squares():
     """A finder of another kind, which takes any square of the right size in pixels for one of 6 m."""
     return SquareFinder(standards=(SMALL,), kind="small square", extent=9.0)
+
+
+HALF = Standard("squares of 5 m", 5.0, 0.001, "drawn so")
+
+
+def squares_of_two_sizes():
+    """A finder that takes a square for one of 10 m or of 5 m, whichever fits the scale that it is told."""
+    return SquareFinder(standards=(SQUARE, HALF))
