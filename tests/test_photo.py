@@ -408,6 +408,12 @@ def test_a_footprint_on_the_180th_meridian_does_not_go_around_the_earth(lon):
     assert (east - west) * np.cos(np.radians(45)) * 111_320 == pytest.approx(100 * (np.sin(np.pi / 3) + 0.5), rel=0.01)
 
 
+def test_a_photo_with_the_horizon_in_view_has_no_footprint():
+    tags = Tags(8, 6, 8, lon_lat=(10.0, 45.0), pitch=-5, roll=0, yaw=30)
+    endless = SimpleNamespace(outline=lambda: None)
+    assert footprint_on_earth(SimpleNamespace(photo=SimpleNamespace(tags=tags), measured=endless)) is None
+
+
 @pytest.mark.parametrize(("pitch", "roll", "yaw"), [(-89, 178, 40), (-60, 8, 200), (-35, -12, 300), (-85, 100, 5)])
 def test_the_heading_is_the_forward_of_level_axes(pitch, roll, yaw):
     angles = np.radians([90 - yaw, -pitch, roll])
