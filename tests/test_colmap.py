@@ -256,7 +256,12 @@ def test_workspaces(plain, tmp_path):
     save(plain, tmp_path / "one/sparse", "bin")
     assert open_model(tmp_path / "one").folder.name == "sparse"
     save(plain, tmp_path / "two/sparse/0", "txt")
-    assert open_model(tmp_path / "two").folder.name == "0"
+    files = open_model(tmp_path / "two")
+    assert files.folder.name == "0" and not files.notes
+    save(plain, tmp_path / "stray", "txt")
+    shutil.copy(tmp_path / "one/sparse/points3D.bin", tmp_path / "stray")
+    (note,) = open_model(tmp_path / "stray").notes
+    assert "reading the .txt files; points3D.bin without the rest ignored" in note
     small = make_model()[0]
     for frame in list(small.reg_frame_ids())[4:]:
         small.deregister_frame(frame)
@@ -922,6 +927,7 @@ FORGED_TEXT = {
     "name twice": ("images.txt", r"00.png", "01.png", "appears twice"),
     "observations": ("images.txt", r" -1", "", "not triples"),
     "point id": ("images.txt", r" -1", " -7", "out of range"),
+    "track": ("points3D.txt", r" 11 0 ", " 11 0 0 ", "is not pairs"),
     "frame sensor": ("frames.txt", r"CAMERA 1 1", "LIDAR 1 1", "unknown sensor type 'LIDAR'"),
     "frame count": ("frames.txt", r"1 CAMERA 1 1", "7 CAMERA 1 1", "announces 7 data"),
     "rig count": ("rigs.txt", r"1 1 CAMERA", "1 3 CAMERA", "announces 3 sensors"),

@@ -30,7 +30,7 @@ from orthoscale.detect.workers import worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.calibration import save_calibration
-from orthoscale.formats.detections.own import save_detections
+from orthoscale.formats.detections.own import load_detections, save_detections
 from orthoscale.locate.claimed import claimed_scales
 from orthoscale.locate.level import LevelledPhoto
 from orthoscale.photos import survey, tables
@@ -233,6 +233,7 @@ def tags(width=4000, height=3000, full_width=None, **values):
         (tags(3000, 4000, 4000, full_height=3000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0)), 2310.0),
         (tags(4000, 2250, 4000, full_height=3000, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # cropped to 16:9
         (tags(4000, 2250, 4000, full_height=3000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0)), 2310.0),
+        (tags(3600, 3000, 4000, full_height=3000, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # 6:5 of 4:3
         (tags(4000, 3000, 160, full_height=110, calibrated_px=2300.0), 2300.0),  # EXIF tells a thumbnail's size
         (
             tags(4000, 3000, 160, full_height=120, focal_35mm=20, dewarp=(2310,) * 2 + (0,) * 7),
@@ -721,6 +722,16 @@ def test_notes_on_the_boxes_of_all_photos_are_not_told_as_those_of_one(tmp_path,
     save_detections(replace(found, ruler=UNKNOWN_RULER), tmp_path / "boxes.json")
     notes = [line for line in run(folder, *rules).stdout.splitlines() if line.startswith("note")]
     assert len(notes) == 2 and not [note for note in notes if note.endswith("photo)")]
+
+
+def test_boxes_are_saved_though_they_are_too_few(tmp_path, flight):
+    folder, rules = flight
+    saved = tmp_path / "saved.json"
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-60))[:3]}), tmp_path / "boxes.json")
+    done = run(folder, *rules, "--save-detections", saved)
+    assert done.returncode == 3 and {name: len(b) for name, b in load_detections(saved).boxes.items() if len(b)} == {
+        "a.jpg": 3
+    }
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
