@@ -106,6 +106,7 @@ CASES = {
     "nothing": ({}, "local metres, origin at the lower left corner"),
     "UTM": ({"crs": "EPSG:32632", "transform": UTM}, "WGS 84 / UTM zone 32N"),
     "rotated": ({"crs": "EPSG:32632", "transform": UTM * Affine.rotation(25)}, "rotated by"),
+    "upside down": ({"crs": "EPSG:32632", "transform": UTM * Affine.rotation(150)}, "; rotated by -150 degrees"),
     "south-up": ({"crs": "EPSG:32632", "transform": UTM * Affine.scale(1, -1)}, "rows go north"),
     "mirrored": ({"crs": "EPSG:32632", "transform": UTM * Affine.scale(-1, 1)}, "its first column is the easternmost"),
     "degrees": ({"crs": "EPSG:4326", "transform": Affine(1e-6, 0, 10, 0, -7e-7, 50)}, "degrees per pixel"),

@@ -611,6 +611,8 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
         measure_together(photos, few, fleet)
     unplaced = [replace(photo, tags=replace(photo.tags, lon_lat=None)) for photo in photos]
     assert measure_together(unplaced, few, fleet).overlap == 4, "they may show different places"
+    apart = [replace(p, tags=replace(p.tags, lon_lat=(8.0 + 0.1 * k, 47.0))) for k, p in enumerate(photos)]
+    assert measure_together(apart, few, fleet).overlap == pytest.approx(1)
     got = measure_together(photos, found, fleet)
     assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.005)
     assert got.overlap == pytest.approx(4, abs=0.1)  # all from one spot

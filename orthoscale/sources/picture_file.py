@@ -216,7 +216,7 @@ def _decode(path: Path, factor: int) -> np.ndarray:
     pixels = None
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            # OpenCV silently fills the missing part of a truncated file with grey.
+            # OpenCV 4 silently fills the missing part of a truncated file with grey; 5 refuses it.
             if _is_complete(data):
                 stored = _as_stored(data) if data[:4] in TIFFS else data
                 is_jpeg = data[:2] == JPEG
