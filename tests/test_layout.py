@@ -621,6 +621,22 @@ def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):
     assert "from (0, 0) to (70, 50) in its own coordinates" in done.stderr
 
 
+def test_a_lot_with_parts_that_only_touch_the_picture(tmp_path):
+    """What the picture cuts from it is a line as well, which had no outline to draw: a bug was reported."""
+    lot, parts = tmp_path / "lot.geojson", [box(5, 5, 65, 45), box(70, 10, 75, 20)]
+    lot.write_text(shapely.to_geojson(shapely.MultiPolygon(parts)))
+    done = run(orthophoto(tmp_path), "--lot", lot, "--facility", "padel", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "out" / "layout.json").read_text())["lot_area_m2"] == 60 * 40
+
+
+def test_a_lot_whose_outline_crosses_itself_and_turns_back(tmp_path):
+    """Repaired, it is two areas and a line; the areas were not found beside the line."""
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 45), (65, 5), (5, 45), (1, 45), (5, 45)])
+    made = plan(orthophoto(tmp_path), lot, ["padel"])
+    assert made.lot.area == pytest.approx(60 * 40 / 2)
+
+
 def test_an_orthophoto_with_a_world_file_alone(tmp_path):
     with rasterio.open(
         tmp_path / "a.tif", "w", "GTiff", 700, 500, 3, None, Affine(0.1, 0, 5, 0, -0.1, 9), "uint8"

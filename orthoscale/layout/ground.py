@@ -187,14 +187,20 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
         flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
         if longitude is not None and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
             flat = [shapely.transform(p, lambda c: about_meridian(c, longitude)) if _degrees(p) else p for p in flat]
-        parts = [shapely.make_valid(part) for part in flat]
-        area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
+        area = shapely.union_all(_areas(shapely.make_valid(flat)))
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: not a vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
     if not sound:
         raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
     return area, meta["crs"]
+
+
+def _areas(shapes: Any) -> np.ndarray:
+    """The polygons in one shape or in several. The lines and points that repairs and overlays leave where parts only
+    touch are left out."""
+    parts = shapely.get_parts(shapely.get_parts(shapes))  # a collection may hold multipolygons
+    return parts[shapely.get_dimensions(parts) == 2]
 
 
 def _degrees(shape: BaseGeometry) -> bool:
@@ -230,7 +236,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     if not np.isfinite(shapely.get_coordinates(area)).all():
         raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
     picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
-    inside = area.intersection(picture)
+    inside = shapely.multipolygons(_areas(area.intersection(picture)))
     if inside.area < 1e-3 * area.area or not area.area > 0:
         corners = ground.to_crs(shapely.get_coordinates(picture))
         ends = np.concatenate([corners.min(0), corners.max(0)])
