@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import shapely
 from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from ..core.round_numbers import scale_bar
 from .ground import MetricOrthophoto
-from .place import PlacedFacility
+from .place import PlacedFacility, rings
 
 LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
 DRAWING_MARGIN = 0.06  # around the lot, as a share of its longer side
@@ -70,14 +71,15 @@ def overlay(
     image = ground.source.read(window.x, window.y, window.width, window.height, *size).copy()
     tint = image.copy()
     for place in placed:
-        cv2.fillPoly(tint, [_points(ground, _ring(place.full_area), window, zoom)], (205, 205, 195), shift=4)
-        cv2.fillPoly(tint, [_points(ground, _ring(place.area), window, zoom)], place.facility.colour, shift=4)
+        for area, colour in ((place.full_area, (205, 205, 195)), (place.area, place.facility.colour)):
+            cv2.fillPoly(tint, [_points(ground, shapely.get_coordinates(area), window, zoom)], colour, shift=4)
     image = cv2.addWeighted(tint, 0.72, image, 0.28, 0)
-    for ring in _rings(lot):
+    for ring in rings(lot):
         _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
     for place in placed:
         if place.facility.ends or place.facility.sides:
-            _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
+            run_off = shapely.get_coordinates(place.full_area)
+            _polyline(image, ground, run_off, window, zoom, RUN_OFF, 1, cv2.LINE_AA)
         for line in (*place.facility.lines, *place.facility.edges):
             _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
     for number, place in enumerate(placed, 1):
@@ -86,15 +88,6 @@ def overlay(
     _scale_bar(image, ground.gsd / zoom)
     _north_arrow(image, np.subtract(*ground.to_pixels(np.array([[0.0, 1.0], [0.0, 0.0]]))))
     return image
-
-
-def _ring(area: BaseGeometry) -> np.ndarray:
-    return np.asarray(area.exterior.coords)[:, :2]
-
-
-def _rings(area: BaseGeometry) -> list[np.ndarray]:
-    parts = getattr(area, "geoms", [area])
-    return [np.asarray(r.coords)[:, :2] for p in parts for r in (p.exterior, *p.interiors)]
 
 
 def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> BaseGeometry:
