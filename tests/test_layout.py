@@ -176,6 +176,17 @@ def test_a_facility_written_in_capitals_replaces_the_infield_too(tmp_path):
     assert np.array_equal(facilities["stadium"].lines[-1], facilities["football"].lines[0])
 
 
+def test_an_arc_may_be_drawn_either_way(tmp_path):
+    """Clockwise, from the larger angle, it was the straight line between its ends."""
+    whole = {"name": "rings", "length": 20, "width": 20, "ends": 0, "sides": 0, "source": "ours"}
+    path = tmp_path / "own.json"
+    for start, end in ((90, 270), (270, 90)):
+        whole["lines"] = [["arc", 1, 2, 5, start, end]]
+        path.write_text(json.dumps({"facilities": {"rings": whole}}))
+        (arc,) = load(path)["rings"].lines
+        assert np.hypot(*(arc - (1, 2)).T) == pytest.approx(5) and arc[:, 0].min() == pytest.approx(1 - 5)
+
+
 # Placing
 
 
