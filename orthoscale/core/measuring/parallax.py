@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
+from scipy.special import softmax
 
 from ..evenly import evenly
 from ..normal import median_and_sd
@@ -281,9 +282,7 @@ def _combined(
         _Error(common * height, uneven * height, reach).known(at, seen.lower[keep], noise, boxes)
         for common, uneven in ((ON_GROUND, 0.0), (TOO_HIGH, 0.0), (TOO_HIGH, UNEVEN))
     ]
-    odds = np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + [case.evidence for case in cases]
-    chance = np.exp(odds - odds.max())
-    chance /= chance.sum()
+    chance = softmax(np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + [case.evidence for case in cases])
     means = np.array([case.mean for case in cases])
     mean = chance @ means
     variance = chance @ (np.array([case.variance for case in cases]) + (means - mean) ** 2)
