@@ -14,6 +14,7 @@ from ..anchors import kinds
 from ..core.anchors import AnchorVote, Standard
 from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
 from ..core.measuring.footing import BY_POINTS, Footing
+from ..core.measuring.objects import in_words
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.normal import Z90
 from ..core.progress import Progress
@@ -40,7 +41,7 @@ STANDARD_HINT = (
 
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
     """The kinds of anchors that are measured by their boxes alone, of those that `choices` of `--anchors` allow."""
-    every = {name.replace("-", " ") for name in BOXED}
+    every = set(map(in_words, BOXED))
     if kinds.NO_KIND in choices:
         return set()
     whole = {kinds.ALL, kinds.PROVEN} & set(choices)
