@@ -113,10 +113,10 @@ def standing(
     size : typical length and width of a vehicle. sd : (M,) one sigma of the surface's height. shown : (M,) number of
     frames that show `place`. All lengths in [units].
     """
-    offset = (place - foot) / above[:, None]
-    height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
+    alone = _of_sheet(sd / above)
     if len(place) < FEWEST_STANDING:
         return alone
+    offset, height = (place - foot) / above[:, None], float(np.median(above))
     length, width = size
     tried = height * np.arange(HIGHEST_GROUND, LOWEST_GROUND + DEPTH_STEP / 2, DEPTH_STEP)
     everywhere = _search(place, offset, picture, tried, 0.0, width)
@@ -160,10 +160,7 @@ def _search(
     other is clearly better."""
     _, frame = np.unique(picture, return_inverse=True)
     tried = np.r_[usual, tried[np.argsort(np.abs(tried - usual), kind="stable")]]
-    scores = []
-    for lower in tried:
-        at = place + lower * offset
-        scores.append(float(_coinciding(at, frame, width).sum()) / 2)
+    scores = [float(_coinciding(place + lower * offset, frame, width).sum()) / 2 for lower in tried]
     best = int(np.argmax(scores))
     return float(tried[best]) if scores[best] > CLEARLY[0] * scores[0] + CLEARLY[1] else usual
 
