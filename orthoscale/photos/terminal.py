@@ -54,11 +54,10 @@ def summary(
 def _in_full(got: PhotoScale) -> list[str]:
     width, height = got.footprint
     parts = ", ".join(f"{name} {100 * sd:.1f} %" for name, sd in got.scale.parts.items() if sd > 0)
-    scale = Interval90(got.scale.value, *got.scale.interval90)
     return [
         f"altitude   {_interval(got.altitude, 'm')}   ({got.scale.verdict})",
         f"GSD        {_interval(got.gsd * 100, 'cm/px')}",
-        f"scale      {_interval(scale * 100, 'cm/px')}, of the nadir view",
+        f"scale      {_interval(got.nadir_gsd * 100, 'cm/px')}, of the nadir view",
         f"footprint  {_interval(width, 'm')} wide, {_interval(height, 'm')} high",
         f"uncertain  {parts}   (1 sigma)",
     ]
