@@ -40,9 +40,7 @@ class PlacedFacility:
 
     def on_ground(self, points: np.ndarray) -> np.ndarray:
         """(n, 2) from the facility's own axes to east and north [m]."""
-        angle = np.radians(90 - self.bearing)
-        ahead = unit_vector(angle)
-        return points[:, :1] * ahead + points[:, 1:] * quarter_turn(ahead) + self.centre
+        return _turned(points, self.bearing) + self.centre
 
     @property
     def area(self) -> Polygon:
@@ -172,7 +170,7 @@ def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> 
     room = shapely.buffer(free, -(min(length, width) - SLACK) / 2)
     if room.is_empty:
         return room
-    corners = PlacedFacility(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
+    corners = _turned(_corners(length - SLACK, width - SLACK), bearing)
     edges = np.concatenate([np.stack([r[:-1], r[1:]], 1) for r in rings(free)])  # (E, 2 ends, 2)
     swept = (edges[:, :, None] + corners).reshape(-1, 2)  # eight points each
     blocked = shapely.convex_hull(shapely.multipoints(swept, indices=np.repeat(np.arange(len(edges)), 8)))
@@ -180,7 +178,10 @@ def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> 
     return room.difference(shapely.union_all(blocked[shapely.intersects(room, blocked)]))
 
 
-_NOTHING = Facility("", "", 1.0, 1.0, 0.0, 0.0, False, False, (), "", (0, 0, 0), "")
+def _turned(points: np.ndarray, bearing: float) -> np.ndarray:
+    """(n, 2) east and north of `points` (n, 2) along `bearing`, clockwise from north [deg], and to its left."""
+    ahead = unit_vector(np.radians(90 - bearing))
+    return points[:, :1] * ahead + points[:, 1:] * quarter_turn(ahead)
 
 
 def _corners(length: float, width: float) -> np.ndarray:
