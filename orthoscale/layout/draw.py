@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -58,7 +59,8 @@ def lines(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Wi
     thickness = max(1, round(LINE_M / ground.gsd))
     for place in placed:
         for line in (*place.facility.lines, *place.facility.edges):
-            _polyline(drawing, ground, place.on_ground(line), window, 1.0, 255, thickness, cv2.LINE_8)
+            points = _points(ground, window, 1.0, place.on_ground(line))
+            cv2.polylines(drawing, [points], False, 255, thickness, cv2.LINE_8, shift=4)
     return drawing
 
 
@@ -69,21 +71,21 @@ def overlay(
     zoom = min(OVERLAY / max(window.width, window.height), 4.0)
     size = max(1, round(window.width * zoom)), max(1, round(window.height * zoom))
     image = ground.source.read(window.x, window.y, window.width, window.height, *size).copy()
-    tint = image.copy()
+    drawn, tint = partial(_points, ground, window, zoom), image.copy()
     for place in placed:
         for area, colour in ((place.full_area, (205, 205, 195)), (place.area, place.facility.colour)):
-            cv2.fillPoly(tint, [_points(ground, shapely.get_coordinates(area), window, zoom)], colour, shift=4)
+            cv2.fillPoly(tint, [drawn(shapely.get_coordinates(area))], colour, shift=4)
     image = cv2.addWeighted(tint, 0.72, image, 0.28, 0)
     for ring in rings(lot):
-        _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
+        cv2.polylines(image, [drawn(ring)], False, LOT, 2, cv2.LINE_AA, shift=4)
     for place in placed:
         if place.facility.ends or place.facility.sides:
-            run_off = shapely.get_coordinates(place.full_area)
-            _polyline(image, ground, run_off, window, zoom, RUN_OFF, 1, cv2.LINE_AA)
+            run_off = drawn(shapely.get_coordinates(place.full_area))
+            cv2.polylines(image, [run_off], False, RUN_OFF, 1, cv2.LINE_AA, shift=4)
         for line in (*place.facility.lines, *place.facility.edges):
-            _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
+            cv2.polylines(image, [drawn(place.on_ground(line))], False, (255, 255, 255), 1, cv2.LINE_AA, shift=4)
     for number, place in enumerate(placed, 1):
-        x, y = _points(ground, np.array([place.centre]), window, zoom)[0] / 16
+        x, y = drawn(np.array([place.centre]))[0] / 16
         _label(image, f"{number} {place.facility.code}", int(x), int(y))
     _scale_bar(image, ground.gsd / zoom)
     _north_arrow(image, np.subtract(*ground.to_pixels(np.array([[0.0, 1.0], [0.0, 0.0]]))))
@@ -94,23 +96,10 @@ def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> Ba
     return ground.mapped(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
 
 
-def _points(ground: MetricOrthophoto, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
+def _points(ground: MetricOrthophoto, window: Window, zoom: float, metres: np.ndarray) -> np.ndarray:
     """(n, 2) int32, in sixteenths of a pixel as OpenCV needs them; its pixel centres are integers, ours end in .5."""
     pixels = (ground.to_pixels(metres) - (window.x, window.y)) * zoom - 0.5
     return np.round(pixels * 16).astype(np.int32)
-
-
-def _polyline(
-    image: np.ndarray,
-    ground: MetricOrthophoto,
-    metres: np.ndarray,
-    window: Window,
-    zoom: float,
-    colour,
-    thickness: int,
-    kind: int,
-) -> None:
-    cv2.polylines(image, [_points(ground, metres, window, zoom)], False, colour, thickness, kind, shift=4)
 
 
 def _label(image: np.ndarray, text: str, x: int, y: int) -> None:
