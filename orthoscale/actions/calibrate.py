@@ -222,9 +222,9 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     same vehicles."""
     noise = []
     for (a, za), (b, zb) in pairwise(zip(looks, zooms, strict=True)):
-        ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
+        ratio = np.log(b.sides / a.sides)
         # Two boxes differ by both their noises, each a share of its own size in pixels.
-        size = np.median(a.xylwa[:, 2:4], axis=0)
+        size = np.median(a.sides, axis=0)
         noise.append(robust_sd(ratio) * size / np.hypot(1 / za, 1 / zb))
     length, width = np.mean(noise, axis=0)
     return float(length), float(width)
