@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.measuring.objects import in_words
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.normal import Z90
-from ..core.progress import Progress
+from ..core.progress import Progress, of_step
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
 from ..detect.effort import Effort
@@ -112,7 +111,7 @@ def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted
         wanted.effort,
         share * MOST_PIXELS,
         ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
-        None if wanted.progress is None else partial(wanted.progress, "Looking for anchors"),
+        of_step(wanted.progress, "Looking for anchors"),
     )
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.ground_pictures}
