@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..core.progress import Progress
 from ..core.source import Picture
 from ..errors import UsageError
 from ..formats.names import write_json
@@ -130,7 +130,7 @@ def write_crops(
     photo: Picture,
     told: dict[str, Any],
     folder: Path,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, and crop.json with
     what was done.
