@@ -337,7 +337,7 @@ def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, tu
     assert made.ground.gsd == pytest.approx(gsd, rel=0.005)
     assert made.lot.area == pytest.approx(2 * 45**2, rel=0.01)
     (place,) = made.placed
-    corners = shapely.get_coordinates(made.ground.mapped(place.full_area, made.ground.to_crs))[:4]
+    corners = shapely.get_coordinates(shapely.transform(place.full_area, made.ground.to_crs))[:4]
     lon, lat = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*corners.T)
     azimuth, _, length = geod.inv(lon, lat, np.roll(lon, -1), np.roll(lat, -1))
     assert sorted(length) == pytest.approx([19, 19, 32, 32], rel=0.005)
@@ -400,7 +400,7 @@ def test_the_place_of_a_picture_may_come_from_ground_control_points(tmp_path):
     assert done.returncode == 0, done.stderr
     meta, _, (area,), _ = pyogrio.raw.read(tmp_path / "out" / "layout.gpkg", layer="facilities")
     (place,) = same.placed
-    corners = shapely.get_coordinates(same.ground.mapped(place.area, same.ground.to_crs))
+    corners = shapely.get_coordinates(shapely.transform(place.area, same.ground.to_crs))
     assert meta["crs"] == "EPSG:32632" and shapely.get_coordinates(shapely.from_wkb(area)) == pytest.approx(
         corners, abs=1e-3
     )
@@ -428,7 +428,7 @@ def test_rows_that_go_north_and_columns_that_go_west_show_the_same_ground(tmp_pa
     wish = f"basketball@{x},{y},25"
     made, same = (plan(path, lot, [wish, "padel"]) for path in (tmp_path / "flipped.tif", usual))
     (court, _), (other, _) = (
-        [shapely.get_coordinates(each.ground.mapped(p.full_area, each.ground.to_crs)) for p in each.placed]
+        [shapely.get_coordinates(shapely.transform(p.full_area, each.ground.to_crs)) for p in each.placed]
         for each in (made, same)
     )
     assert court == pytest.approx(other, abs=1e-3)

@@ -35,7 +35,7 @@ class Window:
 
 def window_of(ground: MetricOrthophoto, lot: BaseGeometry) -> Window:
     """The part of the picture with the lot and a margin."""
-    x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
+    x0, y0, x1, y1 = shapely.transform(lot, ground.to_pixels).bounds
     margin = DRAWING_MARGIN * max(x1 - x0, y1 - y0)
     left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
     right, bottom = min(ground.source.width, int(x1 + margin) + 1), min(ground.source.height, int(y1 + margin) + 1)
@@ -93,7 +93,7 @@ def overlay(
 
 
 def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> BaseGeometry:
-    return ground.mapped(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
+    return shapely.transform(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
 
 
 def _points(ground: MetricOrthophoto, window: Window, zoom: float, metres: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     coordinates, whose CRS it names."""
     ground = layout.ground
     crs = ground.crs  # a world file alone has none
-
-    def in_crs(shape: Any) -> Any:
-        return ground.mapped(shape, ground.to_crs)
-
+    in_crs = partial(shapely.transform, transformation=ground.to_crs)
     package = folder / "layout.gpkg"
     lot = [{"what": "lot", "area_m2": round(layout.lot.area, 1)}]
     write_layer(package, "lot", [in_crs(layout.lot)], lot, "MultiPolygon", crs)

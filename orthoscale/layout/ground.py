@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,10 +94,6 @@ class MetricOrthophoto:
     def middle(self) -> np.ndarray:
         """(2,) coordinates of its middle in the file's CRS."""
         return transformed(np.array([[self.source.width / 2, self.source.height / 2]]), self.transform)[0]
-
-    def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
-        """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
-        return shapely.transform(shape, to)
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
@@ -218,7 +213,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     area, own = _polygons(path, ground.longitude)
     notes: list[str] = []
     if pixels:
-        area = ground.mapped(area, ground.to_metres)
+        area = shapely.transform(area, ground.to_metres)
     else:
         # GeoJSON is always read as longitude and latitude, even if its coordinates are others.
         if ground.source.claimed.usable and own and not (own == WGS_84 and not _degrees(area)):
@@ -232,10 +227,10 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
                 raise InputError(f"{path}: its coordinates do not fit the picture's", AREA_HINT) from error
         elif ground.source.claimed.usable:
             notes.append(f"{path.name}: its coordinates are taken for those of the picture's CRS")
-        area = ground.mapped(area, ground.from_crs)
+        area = shapely.transform(area, ground.from_crs)
     if not np.isfinite(shapely.get_coordinates(area)).all():
         raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
-    picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
+    picture = shapely.transform(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
     inside = shapely.multipolygons(_areas(area.intersection(picture)))
     if inside.area < 1e-3 * area.area or not area.area > 0:
         corners = ground.to_crs(shapely.get_coordinates(picture))
