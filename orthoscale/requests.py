@@ -27,6 +27,7 @@ ESTIMATORS = ("robust", "iqr")
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 KINDS_OF_DEPTH = ("z", "range")
+LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
 BUILT_IN, NOTHING = "built-in", "none"  # words that some options accept instead of a file
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # kinds of anchors that boxes can show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))

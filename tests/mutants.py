@@ -58,8 +58,8 @@ MUTANTS = (
     ),
     Mutant(
         "detect/sweep.py",
-        "np.sqrt(xylwa[:, 2:4] * coarse.xylwa[j, 2:4])",
-        "xylwa[:, 2:4]",
+        "np.sqrt(fine.sides[i] * coarse.sides[j])",
+        "fine.sides[i]",
         f"{CHOICES}test_a_vehicles_box_is_the_geometric_mean_of_both_passes",
     ),
     Mutant(

@@ -176,6 +176,17 @@ def test_a_facility_written_in_capitals_replaces_the_infield_too(tmp_path):
     assert np.array_equal(facilities["stadium"].lines[-1], facilities["football"].lines[0])
 
 
+def test_an_arc_may_be_drawn_either_way(tmp_path):
+    """Clockwise, from the larger angle, it was the straight line between its ends."""
+    whole = {"name": "rings", "length": 20, "width": 20, "ends": 0, "sides": 0, "source": "ours"}
+    path = tmp_path / "own.json"
+    for start, end in ((90, 270), (270, 90)):
+        whole["lines"] = [["arc", 1, 2, 5, start, end]]
+        path.write_text(json.dumps({"facilities": {"rings": whole}}))
+        (arc,) = load(path)["rings"].lines
+        assert np.hypot(*(arc - (1, 2)).T) == pytest.approx(5) and arc[:, 0].min() == pytest.approx(1 - 5)
+
+
 # Placing
 
 
@@ -326,7 +337,7 @@ def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, tu
     assert made.ground.gsd == pytest.approx(gsd, rel=0.005)
     assert made.lot.area == pytest.approx(2 * 45**2, rel=0.01)
     (place,) = made.placed
-    corners = shapely.get_coordinates(made.ground.mapped(place.full_area, made.ground.to_crs))[:4]
+    corners = shapely.get_coordinates(shapely.transform(place.full_area, made.ground.to_crs))[:4]
     lon, lat = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*corners.T)
     azimuth, _, length = geod.inv(lon, lat, np.roll(lon, -1), np.roll(lat, -1))
     assert sorted(length) == pytest.approx([19, 19, 32, 32], rel=0.005)
@@ -389,7 +400,7 @@ def test_the_place_of_a_picture_may_come_from_ground_control_points(tmp_path):
     assert done.returncode == 0, done.stderr
     meta, _, (area,), _ = pyogrio.raw.read(tmp_path / "out" / "layout.gpkg", layer="facilities")
     (place,) = same.placed
-    corners = shapely.get_coordinates(same.ground.mapped(place.area, same.ground.to_crs))
+    corners = shapely.get_coordinates(shapely.transform(place.area, same.ground.to_crs))
     assert meta["crs"] == "EPSG:32632" and shapely.get_coordinates(shapely.from_wkb(area)) == pytest.approx(
         corners, abs=1e-3
     )
@@ -417,7 +428,7 @@ def test_rows_that_go_north_and_columns_that_go_west_show_the_same_ground(tmp_pa
     wish = f"basketball@{x},{y},25"
     made, same = (plan(path, lot, [wish, "padel"]) for path in (tmp_path / "flipped.tif", usual))
     (court, _), (other, _) = (
-        [shapely.get_coordinates(each.ground.mapped(p.full_area, each.ground.to_crs)) for p in each.placed]
+        [shapely.get_coordinates(shapely.transform(p.full_area, each.ground.to_crs)) for p in each.placed]
         for each in (made, same)
     )
     assert court == pytest.approx(other, abs=1e-3)
@@ -619,6 +630,22 @@ def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):
     lot = lot_file(tmp_path / "lot.geojson", [(500, 500), (560, 500), (560, 560)])
     done = run(path, "--lot", lot, "--facility", "padel", "--out", tmp_path / "out")
     assert "from (0, 0) to (70, 50) in its own coordinates" in done.stderr
+
+
+def test_a_lot_with_parts_that_only_touch_the_picture(tmp_path):
+    """What the picture cuts from it is a line as well, which had no outline to draw: a bug was reported."""
+    lot, parts = tmp_path / "lot.geojson", [box(5, 5, 65, 45), box(70, 10, 75, 20)]
+    lot.write_text(shapely.to_geojson(shapely.MultiPolygon(parts)))
+    done = run(orthophoto(tmp_path), "--lot", lot, "--facility", "padel", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "out" / "layout.json").read_text())["lot_area_m2"] == 60 * 40
+
+
+def test_a_lot_whose_outline_crosses_itself_and_turns_back(tmp_path):
+    """Repaired, it is two areas and a line; the areas were not found beside the line."""
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 45), (65, 5), (5, 45), (1, 45), (5, 45)])
+    made = plan(orthophoto(tmp_path), lot, ["padel"])
+    assert made.lot.area == pytest.approx(60 * 40 / 2)
 
 
 def test_an_orthophoto_with_a_world_file_alone(tmp_path):

@@ -72,6 +72,19 @@ def test_steady_and_unsteady_boxes_are_told_apart():
     assert len(agreed(Boxes.empty(), [Boxes.empty()] * 4, np.zeros(2))) == 0
 
 
+@pytest.mark.parametrize("again, share", [(2, 0.449), (3, 0.298), (4, 0.287)])
+def test_the_median_of_few_views_is_less_certain(again, share):
+    """That of three was taken to be as certain as that of five."""
+    rng = np.random.default_rng(3)
+    xylwa = np.array([[50.0 * k, 50, 40, 16, 0] for k in range(400)])
+    first, *looks = (
+        Boxes(xylwa * np.exp([0, 0, 0.05, 0.05, 0] * rng.standard_normal((400, 5))), np.ones(400))
+        for _ in range(1 + again)
+    )
+    got = agreed(first, looks, np.zeros(2))
+    assert np.sqrt((got.sigma**2).mean(0)) == pytest.approx([0.05 * share**0.5] * 2, rel=0.05)
+
+
 def test_views_that_agree_do_not_make_boxes_exact():
     """What views share stays as the ruler says it is."""
     rng = np.random.default_rng(1)

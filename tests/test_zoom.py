@@ -12,7 +12,7 @@ from orthoscale.detect.effort import Effort
 from orthoscale.detect.find import find_vehicles
 from orthoscale.detect.tie_break import CONTESTED
 from orthoscale.detect.zoom import search_zoom
-from orthoscale.errors import EvidenceDisagrees, UsageError
+from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -84,6 +84,12 @@ def test_a_picture_without_vehicles_is_soon_done_with():
         assert choice.vehicle_px is None and choice.zoom == 1.0
         assert blank.pixels < 150e6
         assert len(choice.table) == 7, "all zooms were looked at"
+
+
+def test_a_picture_too_small_for_any_vehicle_has_none(detector):
+    """Of a photo of less than 9 px no zoom was tried, and to say so was a bug."""
+    with pytest.raises(TooLittleEvidence, match="no vehicles found at any resampling factor from 4 to 4"):
+        find_vehicles([Pixels(np.zeros((8, 8, 3), np.uint8))], detector, effort=Effort(cache=False))
 
 
 def test_only_promising_zooms_are_looked_at_more_widely():

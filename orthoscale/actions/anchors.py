@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,10 @@ from ..anchors import kinds
 from ..core.anchors import AnchorVote, Standard
 from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
 from ..core.measuring.footing import BY_POINTS, Footing
+from ..core.measuring.objects import in_words
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.normal import Z90
-from ..core.progress import Progress
+from ..core.progress import Progress, of_step
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
 from ..detect.effort import Effort
@@ -40,7 +40,7 @@ STANDARD_HINT = (
 
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
     """The kinds of anchors that are measured by their boxes alone, of those that `choices` of `--anchors` allow."""
-    every = {name.replace("-", " ") for name in BOXED}
+    every = set(map(in_words, BOXED))
     if kinds.NO_KIND in choices:
         return set()
     whole = {kinds.ALL, kinds.PROVEN} & set(choices)
@@ -111,7 +111,7 @@ def anchors_at(source: Source, metres_per_unit: float, sd: float, wanted: Wanted
         wanted.effort,
         share * MOST_PIXELS,
         ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
-        None if wanted.progress is None else partial(wanted.progress, "Looking for anchors"),
+        of_step(wanted.progress, "Looking for anchors"),
     )
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.ground_pictures}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
 from ..core.normal import robust_sd
 from ..core.pooling.robust import pool
-from ..core.progress import Progress
+from ..core.progress import Progress, of_step
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
 from ..core.scale import PER_PIXEL, Scale
@@ -108,13 +108,8 @@ def _orthophoto(path: Path) -> Plan:
 
 def _looks(plan: Plan, zooms: np.ndarray, network: Detector, progress: Progress | None) -> list[Boxes]:
     """The same vehicles at each resampling factor of `zooms`, in the same order. Raises TooLittleEvidence."""
-
-    def step(k: int) -> Callable[[int, int], None] | None:
-        return (
-            (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
-        )
-
-    looks = same_vehicles([one_pass([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
+    steps = [of_step(progress, f"Detection pass {k} of {len(zooms)}") for k in range(1, len(zooms) + 1)]
+    looks = same_vehicles([one_pass([plan], z, network, s)[plan.name] for z, s in zip(zooms, steps, strict=True)])
     if len(looks[0]) < FEWEST_VEHICLES:
         raise TooLittleEvidence(
             f"{plan.path}: {len(looks[0])} vehicles detected at all three resampling factors, "
@@ -222,9 +217,9 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     same vehicles."""
     noise = []
     for (a, za), (b, zb) in pairwise(zip(looks, zooms, strict=True)):
-        ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
+        ratio = np.log(b.sides / a.sides)
         # Two boxes differ by both their noises, each a share of its own size in pixels.
-        size = np.median(a.xylwa[:, 2:4], axis=0)
+        size = np.median(a.sides, axis=0)
         noise.append(robust_sd(ratio) * size / np.hypot(1 / za, 1 / zb))
     length, width = np.mean(noise, axis=0)
     return float(length), float(width)

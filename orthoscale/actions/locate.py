@@ -21,9 +21,9 @@ from ..locate.register import Known, PlaceFinder, register
 from ..photos.folders import find_photos
 from ..photos.looking import WITH_GSD, Looking
 from ..photos.photo import GivenCamera
+from ..requests import LOCATE_METHODS
 from ..sources.satellite import Satellite
 
-LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
 ANY_HEADING = "search"  # value of --heading for any heading
 CANDIDATES_LISTED = 5  # number of candidates in the results
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..requests import VehicleRequest
+from ..requests import LOCATE_METHODS, VehicleRequest
 from .options import (
     MEASURING,
     PATH,
@@ -52,10 +52,11 @@ if TYPE_CHECKING:
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photos in m/px; then nothing is measured.")
 @option(
     "--method",
-    type=click.Choice(["auto", "dense", "gradient", "retrieval"]),
-    default="auto",
+    type=click.Choice(LOCATE_METHODS),
+    default=LOCATE_METHODS[0],
+    show_default=True,
     group="Input",
-    help="How photo and map are compared  [default: auto]",
+    help="How photo and map are compared",
 )
 @option("--embedding", type=PATH, group="Input", help="Your network for retrieval, ONNX.")
 @option("--embedding-map", type=PATH, group="Input", help="The one for the map, if it is another.")

@@ -110,6 +110,11 @@ class Boxes(ByValue, Brief):
         return self.xylwa[:, 3]
 
     @property
+    def sides(self) -> np.ndarray:
+        """(N, 2) length and width [px]."""
+        return self.xylwa[:, 2:4]
+
+    @property
     def angle(self) -> np.ndarray:
         """(N,) [rad]."""
         return self.xylwa[:, 4]

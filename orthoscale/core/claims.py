@@ -159,7 +159,7 @@ def metric_claim(source: Source, scale: Scale) -> Comparison | None:
     if source.posed is None or scale.conflict:
         return None
     why = source.metric_already
-    if not why and not _nearly_metric(scale):
+    if not why and abs(math.log(scale.value / METRIC)) > NEARLY_METRIC:
         return None
     return Comparison(
         "its coordinates claim" if why else "metres would have",
@@ -180,19 +180,12 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
     It may have been aligned with positions that are not in its frames' tags, or that are so noisy that they give
     another scale.
     """
-    value = scale.value
-    if (
-        source.posed is None
-        or not _nearly_metric(scale)
-        or scale.conflict
-        or scale.verdict == UNUSABLE
-        or source.metric_already
-    ):
+    claim = metric_claim(source, scale)
+    if claim is None or claim.believed or not claim.useful:
         return ()
-    sigmas = abs(math.log(value / METRIC)) / _sd_towards(METRIC, scale)
     text = (
-        f"the model seems to be in metres already, aligned with GPS for instance: {_known_by(scale)} give "
-        f"{value:.3f} m per unit, {sigmas:.1f} sigma from 1; a copy is still scaled by {value:.3f}"
+        f"the model seems to be in metres already, aligned with GPS for instance: {claim.by} give "
+        f"{scale.value:.3f} m per unit, {claim.sigmas:.1f} sigma from 1; a copy is still scaled by {scale.value:.3f}"
     )
     return (Remark(INFO, text),)
 
@@ -200,10 +193,6 @@ def perhaps_metric(source: Source, scale: Scale) -> tuple[Remark, ...]:
 def verdict_on(source: Source, verdict: str) -> str:
     """The `verdict` of a `Comparison` on the claim of `source`, which says so where agreement proves nothing."""
     return OF_A_COPY if verdict == "agrees" and source.by_orthoscale else verdict
-
-
-def _nearly_metric(scale: Scale) -> bool:
-    return abs(math.log(scale.value / METRIC)) <= NEARLY_METRIC
 
 
 def metric_reason(metric_already: str) -> str:

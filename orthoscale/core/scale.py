@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -153,10 +154,7 @@ class Scale(ByValue, Brief):
     @property
     def rejected(self) -> dict[str, int]:
         """How many votes were set aside, by reason."""
-        counts: dict[str, int] = {}
-        for reason in filter(None, self.reasons):
-            counts[reason] = counts.get(reason, 0) + 1
-        return dict(sorted(counts.items(), key=lambda item: -item[1]))
+        return dict(Counter(filter(None, self.reasons)).most_common())
 
 
 def interval_about(value: float, low: float, high: float) -> str:

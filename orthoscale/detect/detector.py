@@ -281,7 +281,7 @@ def _foreign(path: Path, content: bytes, threads: int) -> Worker:
                 f"{library}: no library of operators that onnxruntime can load ({error})",
                 f"Correct or unset the variable {OPERATORS}.",
             ) from error
-        if "not a registered function" in str(error) or "is not a registered" in str(error):
+        if "not a registered" in str(error):
             raise InputError(
                 f"{path}: has operators that onnxruntime does not know ({error})",
                 f"For MMDeploy's, set {OPERATORS} to the path of its libmmdeploy_onnxruntime_ops.so.",

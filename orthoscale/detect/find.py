@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from ..core.boxes import Boxes
 from ..core.confirmed import seldom_confirmed
 from ..core.detections import Detections, Tile, ZoomChoice
 from ..core.equal_sizes import all_alike, more_of_the_same
+from ..core.progress import Progress, of_step
 from ..core.remarks import amount
 from ..core.source import Picture
 from ..errors import EvidenceDisagrees, TooLittleEvidence
@@ -29,9 +28,6 @@ from .tie_break import settled
 from .tiles import check_number, tiles
 from .workers import visitor
 from .zoom import search_zoom
-
-if TYPE_CHECKING:
-    from ..core.progress import Progress
 
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
 WHY_SELDOM = "of a size at which the two passes agree on few, as on mistakes"
@@ -112,7 +108,7 @@ class _Sweep:
         promising tend to come sooner."""
         places = [tile for _, tile in jobs]
         evenly = visiting_order(places, np.ones(len(jobs)), self.effort.seed)
-        progress = _step(self.progress, "Coarse pass")
+        progress = of_step(self.progress, "Coarse pass")
         promising = coarse_pass(jobs, evenly, self.detector, self.effort.threads, progress)
         return visiting_order(places, promising, self.effort.seed)
 
@@ -125,7 +121,7 @@ class _Sweep:
             key = cache_key(self.pictures, detector, self.zoom) if effort.cache else None
             cache = open_things.enter_context(TileCache(key)) if key else None
             visit = open_things.enter_context(visitor(detector, effort.threads, effort.scheduler))
-            progress = _step(self.progress, "Finding vehicles")
+            progress = of_step(self.progress, "Finding vehicles")
             return sweep_twice(jobs, order, visit, cache, stop, progress, detector.sure, detector.passes)
 
     def _detections(self, found: Found) -> Detections:
@@ -145,11 +141,6 @@ class _Sweep:
             undercut=card.undercut,
             zoom_given=self.choice is None,
         )
-
-
-def _step(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
-    """`progress` of the step that is called `what`: it is told how many of how many are done."""
-    return None if progress is None else partial(progress, what)
 
 
 def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:
@@ -181,7 +172,7 @@ def find_zoom(
     TooLittleEvidence if none shows vehicles, EvidenceDisagrees if two are about equally likely."""
     if cover is not None:
         pictures = [pictures[k] for k in cover.first(ZOOM_FRAMES)]
-    step = _step(progress, "Scale search")
+    step = of_step(progress, "Scale search")
     choice = search_zoom(pictures, detector, detector.card, step, effort.seed, effort.threads)
     choice = settled(choice, pictures, detector, effort, step)
     if choice.vehicle_px is None:

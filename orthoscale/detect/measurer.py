@@ -17,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..core.angles import quarter_turn, unit_vector
 from ..core.boxes import KINDS, Boxes
 from ..core.ruler import Ruler
 from ..core.source import NO_DATA_GREY, Picture
@@ -177,8 +178,8 @@ def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
     step = pixels_per_crop_pixel(box)
     n = int(np.clip(np.ceil(step), 1, 16))
     fine = step / n  # picture pixels per sample
-    along = fine * np.array([np.cos(box[4]), np.sin(box[4])])
-    linear = np.array([[along[0], -along[1]], [along[1], along[0]]])  # from samples to the picture
+    along = fine * unit_vector(box[4])
+    linear = np.column_stack([along, quarter_turn(along)])  # from samples to the picture
     middle = np.array([n * CROP_WIDTH / 2, n * CROP_HEIGHT / 2])
     # OpenCV puts a pixel's centre at its integer index, our boxes put it half a pixel further.
     shift = box[:2] - linear @ middle + linear @ (0.5, 0.5) - 0.5
@@ -194,19 +195,17 @@ def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
     """(5,) box in the picture. edges : (4,) -x, +x, -y, +y from the crop's centre [crop px]. turn : of the box against
     the proposed `box` (5,) [rad]."""
     step = pixels_per_crop_pixel(box)
-    centre = step * np.array([edges[0] + edges[1], edges[2] + edges[3]]) / 2
-    cos, sin = np.cos(box[4]), np.sin(box[4])
-    x, y = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
+    x, y = step * np.array([edges[0] + edges[1], edges[2] + edges[3]]) / 2
+    along = unit_vector(box[4])
     size = np.maximum(step * np.array([edges[1] - edges[0], edges[3] - edges[2]]), 1e-3)
-    return np.array([box[0] + x, box[1] + y, *size, box[4] + turn])
+    return np.array([*(box[:2] + (x * along + y * quarter_turn(along))), *size, box[4] + turn])
 
 
 def moved_out(boxes: np.ndarray, outward: np.ndarray) -> np.ndarray:
     """Boxes (N, 5) whose edges, in the order of `Measured.sigma`, lie farther out by `outward` (N, 4) [px]."""
     low, high = outward[:, [0, 2]], outward[:, [1, 3]]
-    x, y = ((high - low) / 2).T
-    cos, sin = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
-    centre = boxes[:, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], 1)
+    shift, along = (high - low) / 2, unit_vector(boxes[:, 4])
+    centre = boxes[:, :2] + (shift[:, :1] * along + shift[:, 1:] * quarter_turn(along))
     return np.column_stack([centre, boxes[:, 2:4] + low + high, boxes[:, 4]])
 
 

@@ -111,13 +111,9 @@ def recognise(
 
 
 def _decoder(outputs: Mapping[str, Shape], metadata: Mapping[str, str]) -> str | None:
-    shapes = list(outputs.values())
-    if len(outputs) == 2 and {"dets", "labels"} == set(outputs) and _fits("mmrotate", outputs):
-        return "mmrotate"
-    if len(shapes) != 1:
-        return None
-    if _fits("orthoscale", outputs):
-        return "orthoscale"
+    for name in ("mmrotate", "orthoscale"):
+        if _fits(name, outputs):
+            return name
     free, raw = (_fits(name, outputs) for name in ("ultralytics-nms-free", "ultralytics"))
     if free and raw:  # [1, 7, 7], or sizes that the file leaves open: the metadata must decide
         names = _names(metadata)
@@ -126,7 +122,8 @@ def _decoder(outputs: Mapping[str, Shape], metadata: Mapping[str, str]) -> str |
         elif names is None:
             return None
         else:
-            free = shapes[0][1] not in (None, len(names) + 5)
+            (shape,) = outputs.values()
+            free = shape[1] not in (None, len(names) + 5)
     return "ultralytics-nms-free" if free else "ultralytics" if raw else None
 
 

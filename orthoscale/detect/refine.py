@@ -16,6 +16,7 @@ import numpy as np
 from ..core.angles import axis_angle
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
+from ..core.normal import of_median
 from ..core.progress import Progress
 from ..core.source import Picture
 from ..system.threads import Threads
@@ -25,7 +26,6 @@ FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which their med
 # The variance over all boxes is a prior for that of each box, with the weight of this many views (Smyth 2004, moderated
 # variances): five views alone give a standard deviation only to within a third.
 PRIOR_VIEWS = 4
-MEDIAN_VARIANCE = 0.29  # variance of the median of five views, as a share of one view's (normal distribution)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def agreed(boxes: Boxes, views: Sequence[Boxes], noise: np.ndarray) -> Boxes:
         size = xylwa[many, 2:4]
         own = (freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS) * size**2
         shared = np.maximum(noise**2 - own.mean(0), 0)
-        sigma[many] = np.sqrt(shared + MEDIAN_VARIANCE * own) / size
+        sigma[many] = np.sqrt(shared + of_median(count[many])[:, None] * own) / size
     return replace(boxes, xylwa=np.where(many[:, None], xylwa, boxes.xylwa), sigma=sigma)
 
 

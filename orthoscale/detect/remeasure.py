@@ -203,8 +203,8 @@ def _moved_out(told: Mapping[str, Measured], card: MeasurerCard, pixel: float) -
 def _without_shadows(told: Mapping[str, Measured], pixel: float) -> tuple[dict[str, Measured], np.ndarray]:
     """`told` without the shadows in the boxes of dark vehicles, and (2,) the log factor of length and width that this
     takes off. pixel : as in `_moved_out`."""
-    vehicles = [(t.boxes.xylwa, t.light, t.kind[:, -1] < NONE) for t in told.values()]
-    every = [(np.log(xylwa[vehicle, 2:4]), light[vehicle]) for xylwa, light, vehicle in vehicles]
+    vehicles = [(t.boxes.sides, t.light, t.kind[:, -1] < NONE) for t in told.values()]
+    every = [(np.log(sides[vehicle]), light[vehicle]) for sides, light, vehicle in vehicles]
     too_large = np.zeros(2)
     if every:
         log_size, light = (np.concatenate(part) for part in zip(*every, strict=True))
@@ -234,7 +234,7 @@ def _is_vehicle(told: Measured, proposed: Boxes) -> np.ndarray:
 def _of(told: Measured, measurer: Measurer) -> Boxes:
     """The measured boxes with their sigma (relative, one sigma of length and width) and their kinds, as probabilities
     given that they are vehicles."""
-    sigma = told.size_sigma * measurer.card.sigma_times / told.boxes.xylwa[:, 2:4]
+    sigma = told.size_sigma * measurer.card.sigma_times / told.boxes.sides
     kinds = told.kind[:, :-1] / np.maximum(told.kind[:, :-1].sum(1, keepdims=True), 1e-9)
     return replace(told.boxes, sigma=sigma, kinds=kinds)
 
@@ -244,7 +244,7 @@ def _change(seen: _Seen) -> _Change:
     after = Boxes.concatenate([seen.told[name].boxes for name in seen.proposed])
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
-    return _Change(*median_and_sd(np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])))
+    return _Change(*median_and_sd(np.log(after.sides / before.sides)))
 
 
 def _corrected(boxes: Boxes, change: _Change) -> Boxes:

@@ -144,7 +144,7 @@ def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float, passes: Passes) 
     i, j, _ = matched(fine, coarse, SAME_VEHICLE)
     xylwa = fine.xylwa[i].copy()
     if passes != Passes.CONFIRMED:
-        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * coarse.xylwa[j, 2:4])
+        xylwa[:, 2:4] = np.sqrt(fine.sides[i] * coarse.sides[j])
     score = (fine.score[i] + coarse.score[j]) / 2
     believed = score >= sure
     first, paired = (coarse, j) if passes == Passes.COARSE_FIRST else (fine, i)

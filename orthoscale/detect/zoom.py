@@ -101,7 +101,8 @@ def search_zoom(
     """
     longest = max(max(p.width, p.height) for p in pictures)
     shown = [filled(picture) for picture in pictures]
-    levels = [_Level(float(z), shown) for z in ZOOM_LEVELS if longest * z >= 3 * card.usable_length[0]]
+    least = min(3 * card.usable_length[0] / longest, ZOOM_LEVELS[-1])  # some zoom is tried, however small a picture is
+    levels = [_Level(float(z), shown) for z in ZOOM_LEVELS if z >= least]
     order = np.random.default_rng(seed).permutation(len(pictures))
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _ZoomVotes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import pyproj
 from ..actions.locate import LocateRequest, features_for, finder_for, searched
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.progress import Progress
 from ..errors import TooLittleEvidence, UsageError
 from ..locate.claimed import BY_VEHICLES, BY_WORD, ClaimedScale
 from ..locate.features import Features
@@ -108,7 +109,7 @@ def document(
     found: Detections,
     fleet: Fleet,
     notes: Sequence[str] = (),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Success with the vehicles' scale, with the true one, and with errors of the true one, as plain values."""
     samples = search.samples

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
-from ..core.progress import Progress
+from ..core.progress import Progress, of_step
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.csv_table import write_csv
 from ..formats.names import write_json
@@ -54,13 +54,9 @@ def document(
 
     depths : the photos' metric depth, for one more method; ablations and sensitivity are only for methods by vehicles.
     """
-
-    def step(what: str) -> Callable[[int, int], None] | None:
-        return (lambda done, total: progress(what, done, total)) if progress else None
-
     refused: Counter[str] = Counter()
     methods = METHODS if depths is None else METHODS | {BY_DEPTH: by_depth(depths, refused)}
-    rows = score.score(samples, found, fleet, methods, step=step("Measuring"))
+    rows = score.score(samples, found, fleet, methods, step=of_step(progress, "Measuring"))
     if refused:
         (why, _), *_ = refused.most_common(1)
         notes = [*notes, f"{refused.total()} of {len(samples)} photos without an altitude by depth; one: {why}"]
@@ -81,9 +77,9 @@ def document(
         "regions": regions,
     }
     if ablations:
-        text["ablations"] = score.ablation(samples, found, fleet, METHODS, step("Ablations"))
+        text["ablations"] = score.ablation(samples, found, fleet, METHODS, of_step(progress, "Ablations"))
     if sensitivity:
-        text["sensitivity"] = score.sensitivity(samples, found, fleet, METHODS, step("Wrong geometry"))
+        text["sensitivity"] = score.sensitivity(samples, found, fleet, METHODS, of_step(progress, "Wrong geometry"))
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from ..system.scratch import Scratch
@@ -21,11 +21,11 @@ def readable(path: Path) -> Iterator[Path]:
     if not OF_ADDRESSES.search(str(path.absolute())):
         yield path
         return
-    with _scratch() as folder:
+    with closing(Scratch()) as scratch:
         for each in sorted(path.parent.iterdir()):
             if each == path or each.name.startswith(f"{path.stem}."):
-                (folder / _plain(each.name)).symlink_to(each.absolute())
-        yield folder / _plain(path.name)
+                (scratch.folder / _plain(each.name)).symlink_to(each.absolute())
+        yield scratch.folder / _plain(path.name)
 
 
 @contextmanager
@@ -35,21 +35,12 @@ def writable(path: Path) -> Iterator[Path]:
     if not OF_ADDRESSES.search(str(path.absolute())):
         yield path
         return
-    with _scratch() as folder:
-        place = folder / _plain(path.name)
+    with closing(Scratch()) as scratch:
+        place = scratch.folder / _plain(path.name)
         if path.exists():
             shutil.copyfile(path, place)
         yield place
         shutil.copyfile(place, path)
-
-
-@contextmanager
-def _scratch() -> Iterator[Path]:
-    scratch = Scratch()
-    try:
-        yield scratch.folder
-    finally:
-        scratch.close()
 
 
 def _plain(name: str) -> str:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.angles import unit_vector
 from ..core.fleet import WORLD
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import checked, read_plain, reason, shipped
@@ -229,8 +230,8 @@ def _line(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
 
 
 def _arc(cx: float, cy: float, radius: float, start: float, end: float) -> np.ndarray:
-    angle = np.radians(np.linspace(start, end, max(2, math.ceil((end - start) / ARC_STEP) + 1)))
-    return np.stack([cx + radius * np.cos(angle), cy + radius * np.sin(angle)], -1)
+    angle = np.radians(np.linspace(start, end, max(2, math.ceil(abs(end - start) / ARC_STEP) + 1)))
+    return radius * unit_vector(angle) + (cx, cy)
 
 
 def _stadium(straight: float, radius: float) -> np.ndarray:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
+import shapely
 from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from ..core.round_numbers import scale_bar
 from .ground import MetricOrthophoto
-from .place import PlacedFacility
+from .place import PlacedFacility, rings
 
 LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
 DRAWING_MARGIN = 0.06  # around the lot, as a share of its longer side
@@ -33,7 +35,7 @@ class Window:
 
 def window_of(ground: MetricOrthophoto, lot: BaseGeometry) -> Window:
     """The part of the picture with the lot and a margin."""
-    x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
+    x0, y0, x1, y1 = shapely.transform(lot, ground.to_pixels).bounds
     margin = DRAWING_MARGIN * max(x1 - x0, y1 - y0)
     left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
     right, bottom = min(ground.source.width, int(x1 + margin) + 1), min(ground.source.height, int(y1 + margin) + 1)
@@ -57,7 +59,8 @@ def lines(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Wi
     thickness = max(1, round(LINE_M / ground.gsd))
     for place in placed:
         for line in (*place.facility.lines, *place.facility.edges):
-            _polyline(drawing, ground, place.on_ground(line), window, 1.0, 255, thickness, cv2.LINE_8)
+            points = _points(ground, window, 1.0, place.on_ground(line))
+            cv2.polylines(drawing, [points], False, 255, thickness, cv2.LINE_8, shift=4)
     return drawing
 
 
@@ -68,56 +71,35 @@ def overlay(
     zoom = min(OVERLAY / max(window.width, window.height), 4.0)
     size = max(1, round(window.width * zoom)), max(1, round(window.height * zoom))
     image = ground.source.read(window.x, window.y, window.width, window.height, *size).copy()
-    tint = image.copy()
+    drawn, tint = partial(_points, ground, window, zoom), image.copy()
     for place in placed:
-        cv2.fillPoly(tint, [_points(ground, _ring(place.full_area), window, zoom)], (205, 205, 195), shift=4)
-        cv2.fillPoly(tint, [_points(ground, _ring(place.area), window, zoom)], place.facility.colour, shift=4)
+        for area, colour in ((place.full_area, (205, 205, 195)), (place.area, place.facility.colour)):
+            cv2.fillPoly(tint, [drawn(shapely.get_coordinates(area))], colour, shift=4)
     image = cv2.addWeighted(tint, 0.72, image, 0.28, 0)
-    for ring in _rings(lot):
-        _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
+    for ring in rings(lot):
+        cv2.polylines(image, [drawn(ring)], False, LOT, 2, cv2.LINE_AA, shift=4)
     for place in placed:
         if place.facility.ends or place.facility.sides:
-            _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
+            run_off = drawn(shapely.get_coordinates(place.full_area))
+            cv2.polylines(image, [run_off], False, RUN_OFF, 1, cv2.LINE_AA, shift=4)
         for line in (*place.facility.lines, *place.facility.edges):
-            _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
+            cv2.polylines(image, [drawn(place.on_ground(line))], False, (255, 255, 255), 1, cv2.LINE_AA, shift=4)
     for number, place in enumerate(placed, 1):
-        x, y = _points(ground, np.array([place.centre]), window, zoom)[0] / 16
+        x, y = drawn(np.array([place.centre]))[0] / 16
         _label(image, f"{number} {place.facility.code}", int(x), int(y))
     _scale_bar(image, ground.gsd / zoom)
     _north_arrow(image, np.subtract(*ground.to_pixels(np.array([[0.0, 1.0], [0.0, 0.0]]))))
     return image
 
 
-def _ring(area: BaseGeometry) -> np.ndarray:
-    return np.asarray(area.exterior.coords)[:, :2]
-
-
-def _rings(area: BaseGeometry) -> list[np.ndarray]:
-    parts = getattr(area, "geoms", [area])
-    return [np.asarray(r.coords)[:, :2] for p in parts for r in (p.exterior, *p.interiors)]
-
-
 def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> BaseGeometry:
-    return ground.mapped(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
+    return shapely.transform(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
 
 
-def _points(ground: MetricOrthophoto, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
+def _points(ground: MetricOrthophoto, window: Window, zoom: float, metres: np.ndarray) -> np.ndarray:
     """(n, 2) int32, in sixteenths of a pixel as OpenCV needs them; its pixel centres are integers, ours end in .5."""
     pixels = (ground.to_pixels(metres) - (window.x, window.y)) * zoom - 0.5
     return np.round(pixels * 16).astype(np.int32)
-
-
-def _polyline(
-    image: np.ndarray,
-    ground: MetricOrthophoto,
-    metres: np.ndarray,
-    window: Window,
-    zoom: float,
-    colour,
-    thickness: int,
-    kind: int,
-) -> None:
-    cv2.polylines(image, [_points(ground, metres, window, zoom)], False, colour, thickness, kind, shift=4)
 
 
 def _label(image: np.ndarray, text: str, x: int, y: int) -> None:

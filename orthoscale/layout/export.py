@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..formats.vector import write_layer
 from ..sources.gdal import guarded
 from ..sources.georeference import LOCAL_CRS
 from . import draw
+from .place import rings
 from .plan import Layout, document, prompt
 
 TILE_PX = 256
@@ -40,13 +42,10 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     coordinates, whose CRS it names."""
     ground = layout.ground
     crs = ground.crs  # a world file alone has none
-
-    def in_crs(shape: Any) -> Any:
-        return ground.mapped(shape, ground.to_crs)
-
+    in_crs = partial(shapely.transform, transformation=ground.to_crs)
     package = folder / "layout.gpkg"
     lot = [{"what": "lot", "area_m2": round(layout.lot.area, 1)}]
-    write_layer(package, "lot", [shapely.MultiPolygon(_polygons(in_crs(layout.lot)))], lot, "MultiPolygon", crs)
+    write_layer(package, "lot", [in_crs(layout.lot)], lot, "MultiPolygon", crs)
     if not layout.placed:
         return
     areas = [in_crs(p.area) for p in layout.placed]
@@ -77,11 +76,10 @@ def write_dxf(layout: Layout, path: Path) -> None:
     def ring(points: np.ndarray, layer: str) -> None:
         space.add_lwpolyline(points.tolist(), close=True, dxfattribs={"layer": layer})
 
-    for polygon in _polygons(layout.lot):
-        for edge in (polygon.exterior, *polygon.interiors):
-            ring(np.asarray(edge.coords)[:-1, :2], "LOT")
+    for edge in rings(layout.lot):
+        ring(edge[:-1], "LOT")
     for number, place in enumerate(layout.placed, 1):
-        ring(np.asarray(place.full_area.exterior.coords)[:-1, :2], "RUN_OFF")
+        ring(shapely.get_coordinates(place.full_area)[:-1], "RUN_OFF")
         ring(place.on_ground(place.facility.outline), "FACILITIES")
         for line in place.facility.lines:
             space.add_lwpolyline(place.on_ground(line).tolist(), dxfattribs={"layer": "LINES"})
@@ -131,7 +129,3 @@ def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Wind
     ):
         out.write(bands, window=RasterWindow(window.x, window.y, window.width, window.height))
         out.descriptions = tuple(names)
-
-
-def _polygons(area: Any) -> list[Any]:
-    return [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]

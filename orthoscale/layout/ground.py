@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,10 +95,6 @@ class MetricOrthophoto:
         """(2,) coordinates of its middle in the file's CRS."""
         return transformed(np.array([[self.source.width / 2, self.source.height / 2]]), self.transform)[0]
 
-    def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
-        """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
-        return shapely.transform(shape, to)
-
 
 def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
     """The orthophoto at `path`. Raises InputError if it has no scale in metres, or
@@ -187,14 +182,20 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
         flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
         if longitude is not None and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
             flat = [shapely.transform(p, lambda c: about_meridian(c, longitude)) if _degrees(p) else p for p in flat]
-        parts = [shapely.make_valid(part) for part in flat]
-        area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
+        area = shapely.union_all(_areas(shapely.make_valid(flat)))
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: not a vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
     if not sound:
         raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
     return area, meta["crs"]
+
+
+def _areas(shapes: Any) -> np.ndarray:
+    """The polygons in one shape or in several. The lines and points that repairs and overlays leave where parts only
+    touch are left out."""
+    parts = shapely.get_parts(shapely.get_parts(shapes))  # a collection may hold multipolygons
+    return parts[shapely.get_dimensions(parts) == 2]
 
 
 def _degrees(shape: BaseGeometry) -> bool:
@@ -212,7 +213,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
     area, own = _polygons(path, ground.longitude)
     notes: list[str] = []
     if pixels:
-        area = ground.mapped(area, ground.to_metres)
+        area = shapely.transform(area, ground.to_metres)
     else:
         # GeoJSON is always read as longitude and latitude, even if its coordinates are others.
         if ground.source.claimed.usable and own and not (own == WGS_84 and not _degrees(area)):
@@ -226,11 +227,11 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
                 raise InputError(f"{path}: its coordinates do not fit the picture's", AREA_HINT) from error
         elif ground.source.claimed.usable:
             notes.append(f"{path.name}: its coordinates are taken for those of the picture's CRS")
-        area = ground.mapped(area, ground.from_crs)
+        area = shapely.transform(area, ground.from_crs)
     if not np.isfinite(shapely.get_coordinates(area)).all():
         raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
-    picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
-    inside = area.intersection(picture)
+    picture = shapely.transform(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
+    inside = shapely.multipolygons(_areas(area.intersection(picture)))
     if inside.area < 1e-3 * area.area or not area.area > 0:
         corners = ground.to_crs(shapely.get_coordinates(picture))
         ends = np.concatenate([corners.min(0), corners.max(0)])

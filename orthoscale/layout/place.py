@@ -40,9 +40,7 @@ class PlacedFacility:
 
     def on_ground(self, points: np.ndarray) -> np.ndarray:
         """(n, 2) from the facility's own axes to east and north [m]."""
-        angle = np.radians(90 - self.bearing)
-        ahead = unit_vector(angle)
-        return points[:, :1] * ahead + points[:, 1:] * quarter_turn(ahead) + self.centre
+        return _turned(points, self.bearing) + self.centre
 
     @property
     def area(self) -> Polygon:
@@ -158,6 +156,13 @@ def holds(lot: BaseGeometry, placed: Sequence[PlacedFacility], factor: float) ->
     ]
 
 
+def rings(area: BaseGeometry) -> Iterator[np.ndarray]:
+    """(n, 2) the outline of each polygon in `area`, and of each of its holes; the last point is the first."""
+    for part in shapely.get_parts(area):
+        if part.geom_type == "Polygon":
+            yield from map(shapely.get_coordinates, (part.exterior, *part.interiors))
+
+
 def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> BaseGeometry:
     """Where the centre of a `length` x `width` [m] rectangle along `bearing` [deg] may be so that it lies within
     `free`."""
@@ -165,35 +170,27 @@ def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> 
     room = shapely.buffer(free, -(min(length, width) - SLACK) / 2)
     if room.is_empty:
         return room
-    corners = PlacedFacility(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
-    edges = np.concatenate([np.stack([r[:-1], r[1:]], 1) for r in map(_coordinates, _rings(free))])  # (E, 2 ends, 2)
+    corners = _turned(_corners(length - SLACK, width - SLACK), bearing)
+    edges = np.concatenate([np.stack([r[:-1], r[1:]], 1) for r in rings(free)])  # (E, 2 ends, 2)
     swept = (edges[:, :, None] + corners).reshape(-1, 2)  # eight points each
     blocked = shapely.convex_hull(shapely.multipoints(swept, indices=np.repeat(np.arange(len(edges)), 8)))
     shapely.prepare(room)
     return room.difference(shapely.union_all(blocked[shapely.intersects(room, blocked)]))
 
 
-def _coordinates(ring: BaseGeometry) -> np.ndarray:
-    return np.asarray(ring.coords)[:, :2]
-
-
-_NOTHING = Facility("", "", 1.0, 1.0, 0.0, 0.0, False, False, (), "", (0, 0, 0), "")
+def _turned(points: np.ndarray, bearing: float) -> np.ndarray:
+    """(n, 2) east and north of `points` (n, 2) along `bearing`, clockwise from north [deg], and to its left."""
+    ahead = unit_vector(np.radians(90 - bearing))
+    return points[:, :1] * ahead + points[:, 1:] * quarter_turn(ahead)
 
 
 def _corners(length: float, width: float) -> np.ndarray:
     return np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (length / 2, width / 2)
 
 
-def _rings(area: BaseGeometry) -> Iterator[BaseGeometry]:
-    for part in shapely.get_parts(area):
-        if part.geom_type == "Polygon":
-            yield part.exterior
-            yield from part.interiors
-
-
 def _directions(lot: BaseGeometry, step: float = STEP) -> list[float]:
     """Bearings to try [deg, 0..180): those of the lot's long edges and their normals first, then evenly spaced ones."""
-    hull = np.asarray(shapely.simplify(lot.convex_hull, 0.5).exterior.coords)
+    hull = shapely.get_coordinates(shapely.simplify(lot.convex_hull, 0.5))
     edges = np.diff(hull, axis=0)
     length = np.linalg.norm(edges, axis=1)
     along = np.degrees(np.arctan2(*edges[length > 0.1 * length.max()].T)) % 180

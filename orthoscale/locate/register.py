@@ -16,6 +16,7 @@ import numpy as np
 import pyproj
 
 from ..core.evenly import evenly
+from ..core.progress import Progress, of_step
 from ..errors import TooLittleEvidence, UsageError
 from ..sources.satellite import Satellite
 from .correlate import Peak, Template, search
@@ -137,13 +138,13 @@ def register(
     features: Features,
     known: Known = Known(),  # noqa: B008 - a frozen value
     cache: bool = True,
-    step: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     finder: PlaceFinder | None = None,
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
-    cache : whether to keep the map's features for the next picture. step : called with the progress. finder : finds the
-    places to verify; by default, correlation of `features`.
+    cache : whether to keep the map's features for the next picture. finder : finds the places to verify; by default,
+    correlation of `features`.
     Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on the map.
     """
     grid = grid_for(seen, satellite, known.scales)
@@ -154,7 +155,7 @@ def register(
     turns = heading_steps(known.heading, up_of(grid, area, features.stride))
     ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
     apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
-    report = None if step is None else (lambda done, total: step("Searching the map", done, total))
+    report = of_step(progress, "Searching the map")
     if finder is None:
         found = search([way.template for way in ways], mapped.window, area, apart, VERIFIED, report)
     else:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..core.progress import Progress
 from ..core.source import Picture
 from ..errors import UsageError
 from ..formats.names import write_json
@@ -70,12 +70,11 @@ def plan_crops(
         side = min(photo_size)
         query = ((width - side) // 2, (height - side) // 2, side, side)
     whole = np.array([satellite.source.width, satellite.source.height], float)
-    middle = whole / 2 if at is None else satellite.pixel_of(*at)
-    if not ((middle >= 0) & (middle <= whole)).all():
-        raise UsageError(
-            f"{at[0] if at else 0:g}, {at[1] if at else 0:g} is not in {satellite.source.name}",
-            satellite.extent_in_words(),
-        )
+    middle = whole / 2
+    if at is not None:
+        middle = satellite.pixel_of(*at)
+        if not ((middle >= 0) & (middle <= whole)).all():
+            raise UsageError(f"{at[0]:g}, {at[1]:g} is not in {satellite.source.name}", satellite.extent_in_words())
     pixel = satellite.pixel_size(middle)
     size = gsd * np.array(query[2:], float)
     window = np.maximum(np.rint(size / pixel).astype(int), 1)
@@ -90,7 +89,7 @@ def plan_crops(
             f"--stride {stride:g} shifts crops by {shift:.2g} px of {satellite.source.name}, less than a pixel",
             f"Give {1 / window.min():.2g} or more.",
         )
-    reach = np.array([0.0, 0.0]) if radius is None else radius / pixel
+    reach = (radius or 0.0) / pixel
     low, high = (np.zeros(2), whole) if at is None else (middle - reach, middle + reach)
     windows = _windows(window, low, high, whole, stride or CROP_STRIDE)
     zoom = 1.0 if out_px is None else out_px / max(query[2:])
@@ -131,7 +130,7 @@ def write_crops(
     photo: Picture,
     told: dict[str, Any],
     folder: Path,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, and crop.json with
     what was done.

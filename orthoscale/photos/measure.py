@@ -78,6 +78,11 @@ class PhotoScale(ByValue):
     overlap: float = 1.0
     shared: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
+    @property
+    def nadir_gsd(self) -> Interval90:
+        """The `scale` with its interval [m/px]."""
+        return Interval90(self.scale.value, *self.scale.interval90)
+
     def overlapping(self, overlap: float) -> PhotoScale:
         """The same if `overlap` of the photos show each place, so that vehicles are counted repeatedly: the sampling
         part of the interval grows by the square root of `overlap`."""

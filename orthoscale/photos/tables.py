@@ -16,7 +16,7 @@ from ..formats.degrees import WGS_84, about_meridian
 from ..formats.names import write_json
 from ..formats.vector import write_layer
 from .depth.ground import DepthAltitude
-from .measure import Interval90, PhotoScale
+from .measure import PhotoScale
 from .photo import Photo
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
@@ -51,7 +51,7 @@ def row(outcome: PhotoOutcome) -> dict[str, Any]:
     """The photo's row of plain values; lengths in metres, angles in degrees, each measure with its 90 % interval."""
     photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     measures: dict[str, Any] = {}
-    values = [None] * len(MEASURES) if got is None else [_scale(got), got.altitude, got.gsd, *got.footprint]
+    values = [None] * len(MEASURES) if got is None else [got.nadir_gsd, got.altitude, got.gsd, *got.footprint]
     for name, value in zip(MEASURES, values, strict=True):
         for suffix, part in (("", "value"), ("_low", "low"), ("_high", "high")):
             measures[name + suffix] = None if value is None else round(float(getattr(value, part)), 6)
@@ -180,7 +180,3 @@ def footprint_on_earth(outcome: PhotoOutcome) -> Any:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
-
-
-def _scale(got: PhotoScale) -> Interval90:
-    return Interval90(got.scale.value, *got.scale.interval90)

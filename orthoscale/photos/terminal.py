@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from .measure import Interval90, PhotoScale
 from .tables import PhotoOutcome
 
 LISTED = 40  # photos that are listed
+MOST_TOLD = 4  # different texts of one kind that are told
 
 
 def summary(
@@ -52,15 +54,13 @@ def summary(
 def _in_full(got: PhotoScale) -> list[str]:
     width, height = got.footprint
     parts = ", ".join(f"{name} {100 * sd:.1f} %" for name, sd in got.scale.parts.items() if sd > 0)
-    scale = Interval90(got.scale.value, *got.scale.interval90)
-    lines = [
+    return [
         f"altitude   {_interval(got.altitude, 'm')}   ({got.scale.verdict})",
         f"GSD        {_interval(got.gsd * 100, 'cm/px')}",
-        f"scale      {_interval(scale * 100, 'cm/px')}, of the nadir view",
+        f"scale      {_interval(got.nadir_gsd * 100, 'cm/px')}, of the nadir view",
         f"footprint  {_interval(width, 'm')} wide, {_interval(height, 'm')} high",
         f"uncertain  {parts}   (1 sigma)",
     ]
-    return lines
 
 
 def _compared(outcome: PhotoOutcome) -> list[str]:
@@ -109,10 +109,10 @@ def _interval(m: Interval90, unit: str) -> str:
 
 def _told(what: str, texts: Sequence[str]) -> list[str]:
     """Each different text once, with the number of photos that have it."""
-    counts: dict[str, int] = {}
-    for text in texts:
-        counts[text] = counts.get(text, 0) + 1
-    many = len(texts) > 1 and len(counts) > 1
-    shown = sorted(counts.items(), key=lambda item: -item[1])[:4]
-    lines = [f"{what:10s} {text}" + (f" ({amount(count, 'photos')})" if many else "") for text, count in shown]
-    return lines + ([f"{what:10s} and {len(counts) - 4} others"] if len(counts) > 4 else [])
+    counts = Counter(texts)
+    many = len(counts) > 1
+    lines = [
+        f"{what:10s} {text}" + (f" ({amount(count, 'photos')})" if many else "")
+        for text, count in counts.most_common(MOST_TOLD)
+    ]
+    return lines + ([f"{what:10s} and {len(counts) - MOST_TOLD} others"] if len(counts) > MOST_TOLD else [])

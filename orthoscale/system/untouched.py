@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 from ..errors import UsageError
@@ -38,11 +39,8 @@ def refuse_input(out: Path, given: Path) -> None:
         folder = os.path.realpath(given)
         if any(_within(place, folder) for place in places_of_out):
             raise UsageError(f"{out} lies in the input {given}", hint)
-    else:
-        for mine in places_of_out:
-            for theirs in places_of_given:
-                if os.path.dirname(mine) == os.path.dirname(theirs) and Path(mine).name.lower() in _sidecars(theirs):
-                    raise UsageError(f"{out} would be taken for a part of the input {given}", hint)
+    elif any(_is_sidecar(mine, theirs) for mine, theirs in product(places_of_out, places_of_given)):
+        raise UsageError(f"{out} would be taken for a part of the input {given}", hint)
 
 
 def _places(path: Path) -> set[str]:
@@ -67,9 +65,10 @@ def inside(path: Path, folder: Path) -> bool:
     return _within(os.path.realpath(path), os.path.realpath(folder)) or _same(path, folder)
 
 
-def _sidecars(place: str) -> set[str]:
-    """Names, in lower case, of the files that programs read together with the file `place`."""
-    path = Path(place.lower())
+def _is_sidecar(mine: str, theirs: str) -> bool:
+    """Whether programs read the file `mine` together with the file `theirs`: by place and, in any case, name."""
+    path = Path(theirs.lower())
     ending = path.suffix[1:]
     world = (f".{ending}w", f".{ending[0]}{ending[-1]}w") if ending else ()
-    return {path.name + more for more in BESIDE_NAME} | {path.stem + more for more in (*BESIDE_STEM, *world)}
+    names = {path.name + more for more in BESIDE_NAME} | {path.stem + more for more in (*BESIDE_STEM, *world)}
+    return os.path.dirname(mine) == os.path.dirname(theirs) and Path(mine).name.lower() in names

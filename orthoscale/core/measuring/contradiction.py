@@ -36,15 +36,11 @@ def cause(
     differ alike. If the fitted effective height is odd as well, the cause is the lens: a wrong focal length falsifies
     the height correction in flat views, while footprints from above are right. If not, it is the boxes.
     """
-    count = len(apart)
+    count, others = len(apart), "other vehicles cause the difference, or wrong boxes"
     if count < MIN_COMMON:
-        return (
-            Cause.OTHERS,
-            f"few vehicles count in both ({count}): other vehicles cause the difference, or wrong boxes",
-        )
+        return Cause.OTHERS, f"few vehicles count in both ({count}): {others}"
     if abs(agreement.difference) < CONTRADICTION * agreement.sd:
-        said = f"the {count} vehicles that count in both agree: other vehicles cause the difference, or wrong boxes"
-        return Cause.OTHERS, said
+        return Cause.OTHERS, f"the {count} vehicles that count in both agree: {others}"
     trend = trend_of(apart, plan, lots_sd=0.0)  # of the same vehicles
     if trend is not None and trend.p_tilt < CHANCE and trend.tilt > NOTABLE:
         return Cause.GROUND, (

@@ -14,7 +14,7 @@ from ..by_value import ByValue
 from ..pooling.agreement import Agreement
 from ..projection.own_ruler import OwnRuler
 from ..projection.self_calibration import Trends
-from ..remarks import INFO, Remark
+from ..remarks import Remark, informing
 from ..ruler import Ruler
 from ..scale import Scale
 from ..votes import Votes
@@ -104,7 +104,7 @@ class Measurement(ByValue):
     @property
     def remarks(self) -> list[Remark]:
         """The remarks on the scale, the most serious first."""
-        return [*self.scale.remarks, *(Remark(INFO, note) for note in self.notes)]
+        return [*self.scale.remarks, *informing(self.notes)]
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -95,7 +95,7 @@ class FramesGeometry:
         if len(names) < MIN_VEHICLES:
             raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
-        sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
+        sides = np.median(boxes.sides * view.unit_per_pixel[:, None], axis=0)
         shown = shown_in_frames(source, found, boxes, place)
         footing = standing_in_model(source, np.array(names), place, sides, shown)
         view = replace(view, ground=view.ground * (1 + footing.lower)[:, None]).with_focal(source.focal.ratio)

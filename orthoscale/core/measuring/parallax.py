@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
+from scipy.special import softmax
 
 from ..evenly import evenly
 from ..normal import median_and_sd
@@ -112,10 +113,10 @@ def standing(
     size : typical length and width of a vehicle. sd : (M,) one sigma of the surface's height. shown : (M,) number of
     frames that show `place`. All lengths in [units].
     """
-    offset = (place - foot) / above[:, None]
-    height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
+    alone = _of_sheet(sd / above)
     if len(place) < FEWEST_STANDING:
         return alone
+    offset, height = (place - foot) / above[:, None], float(np.median(above))
     length, width = size
     tried = height * np.arange(HIGHEST_GROUND, LOWEST_GROUND + DEPTH_STEP / 2, DEPTH_STEP)
     everywhere = _search(place, offset, picture, tried, 0.0, width)
@@ -159,10 +160,7 @@ def _search(
     other is clearly better."""
     _, frame = np.unique(picture, return_inverse=True)
     tried = np.r_[usual, tried[np.argsort(np.abs(tried - usual), kind="stable")]]
-    scores = []
-    for lower in tried:
-        at = place + lower * offset
-        scores.append(float(_coinciding(at, frame, width).sum()) / 2)
+    scores = [float(_coinciding(place + lower * offset, frame, width).sum()) / 2 for lower in tried]
     best = int(np.argmax(scores))
     return float(tried[best]) if scores[best] > CLEARLY[0] * scores[0] + CLEARLY[1] else usual
 
@@ -281,9 +279,7 @@ def _combined(
         _Error(common * height, uneven * height, reach).known(at, seen.lower[keep], noise, boxes)
         for common, uneven in ((ON_GROUND, 0.0), (TOO_HIGH, 0.0), (TOO_HIGH, UNEVEN))
     ]
-    odds = np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + [case.evidence for case in cases]
-    chance = np.exp(odds - odds.max())
-    chance /= chance.sum()
+    chance = softmax(np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + [case.evidence for case in cases])
     means = np.array([case.mean for case in cases])
     mean = chance @ means
     variance = chance @ (np.array([case.variance for case in cases]) + (means - mean) ** 2)

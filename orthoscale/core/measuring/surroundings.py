@@ -51,7 +51,7 @@ def objects_in_plan(objects: Mapping[str, Boxes], zoom: float, standards: Standa
         for vote in standard_objects(
             kind,
             standards.objects.get(kind, []),
-            boxes.xylwa[:, 2:4],
+            boxes.sides,
             np.full(len(boxes), 1 / zoom),
             boxes.centre,
         )

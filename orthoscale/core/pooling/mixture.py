@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from .observed import Seen
 from .problem import OF_SHRINKAGE, SCALES, UNKNOWNS, Hypotheses, Mix, Problem, levels, members
@@ -109,7 +110,7 @@ def _fits(problem: Problem, solved: Hypotheses) -> Fits:
     most = problem.of_votes(MOST_VOTES)
     best = float(solved.log_probability.max())
     evidence = best + float(np.log(np.exp(solved.log_probability - best).sum() * FINE))
-    each = _normalised(solved.log_probability + _bags(most, solved))
+    each = softmax(solved.log_probability + _bags(most, solved), axis=1)
     weight = each.mean(0)
     means = each @ (solved.unknown[:, SCALES] @ problem.weights)
     likeliest = int(np.argmax(solved.log_probability))
@@ -179,12 +180,6 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     without = np.delete(np.arange(len(whole)), OF_SHRINKAGE)
     less, less_lost = whole[np.ix_(without, without)], lost[np.ix_(without, without)]
     return _of_scales(whole, lost), _of_scales(less, less_lost), _of_scales(less, np.zeros_like(less))
-
-
-def _normalised(log_weight: np.ndarray) -> np.ndarray:
-    """(B, V) weights whose rows sum to one."""
-    weight = np.exp(log_weight - log_weight.max(1, keepdims=True))
-    return weight / weight.sum(1, keepdims=True)
 
 
 def _of_scales(whole: np.ndarray, lost: np.ndarray) -> np.ndarray:

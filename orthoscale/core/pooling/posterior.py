@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, softmax
 
 from ..by_value import ByValue
 
@@ -62,12 +62,11 @@ class Posterior(ByValue):
 
     def times(self, other: Posterior) -> Posterior:
         """The posterior given `other`, an independent measurement, as well (Bayes' product)."""
-        log_weight = self._overlap(other)
         variance, more = self.sd[:, None] ** 2, other.sd**2
         total = variance + more
-        weight = np.exp(log_weight - log_weight.max()).ravel()
         mean = (self.mean[:, None] * more + other.mean * variance) / total
-        return Posterior(weight / weight.sum(), mean.ravel(), np.sqrt(variance * more / total).ravel())
+        weight = softmax(self._overlap(other))
+        return Posterior(weight.ravel(), mean.ravel(), np.sqrt(variance * more / total).ravel())
 
     def agreement(self, other: Posterior, doubt: float, window: float, like: float = 1.0) -> float:
         """The likelihood of `other` lying where it does, by the model of `times_doubted` [per unit of log scale]."""
@@ -79,8 +78,7 @@ class Posterior(ByValue):
         `other`; the rest would be found elsewhere. Parts that have become negligible are left out."""
         true, false = self._true_and_false(other, doubt, window, like)
         found = Posterior.mixed([self.times(other), self], np.array([true, false]) / (true + false))
-        kept = found.weight > NEGLIGIBLE * found.weight.max()
-        return Posterior(found.weight[kept] / found.weight[kept].sum(), found.mean[kept], found.sd[kept])
+        return found.only(found.weight > NEGLIGIBLE * found.weight.max())
 
     def blurred(self, variance: float) -> Posterior:
         """The same with `variance` added to that of every part, or taken off if negative; at least a tenth is left."""

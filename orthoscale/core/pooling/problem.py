@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import digamma
 
+from ..evenly import evenly
 from ..market_segments import PLACE_VEHICLES, Class, PlaceKind
 from .beside_fleet import (
     BESIDE_FLEET,
@@ -149,7 +150,7 @@ class Problem:
         """The same for only `number` of the votes, evenly chosen, if there are more."""
         if number >= self.gap.shape[1]:
             return self
-        some = np.linspace(0, self.gap.shape[1] - 1, number).astype(int)
+        some = evenly(self.gap.shape[1], number)
         return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some], called=self.called[some])
 
     def start(self, grid: np.ndarray) -> Hypotheses:

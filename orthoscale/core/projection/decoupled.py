@@ -55,10 +55,9 @@ def ground_size(
     Length (width) over size is the scale by lengths (by widths). The model needs to know the vehicle it measures: how
     far height and foreshortening change a side depends on `priors`, length, width and height in metres.
     """
-    sides = boxes.xylwa[:, 2:4]
     seen = _effective(boxes, views, priors) if variant.effective else np.array([priors[:2]])
     reach = views.ground[:, 2] if variant.ray_length else np.linalg.norm(views.ground, axis=1)
-    metres_per_unit = variant.factor * seen / sides * (views.focal / reach)[:, None]
+    metres_per_unit = variant.factor * seen / boxes.sides * (views.focal / reach)[:, None]
     return np.asarray(priors[:2]) / metres_per_unit
 
 

@@ -123,7 +123,7 @@ def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np
     slopes = forms @ np.stack([along, across, views.normal], -1)
     jacobian = slopes[:, :2, :2] / views.ground[:, 2:, None]  # pixels (N, 2 axes, 2 directions) at the box's centre
     gain = np.abs(np.diagonal(jacobian, axis1=1, axis2=2))
-    target = boxes.xylwa[:, 2:4]
+    target = boxes.sides
 
     # Boxes are the last axis from here on, so that the iterations work on long rows.
     slopes = np.ascontiguousarray(slopes.transpose(1, 2, 0))  # (3 forms, 3 directions, N)

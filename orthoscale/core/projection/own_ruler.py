@@ -136,9 +136,9 @@ class OwnRuler(ByValue):
         views, metres_per_unit = seen.views, seen.metres_per_unit
         xylwa = seen.boxes.xylwa.copy()
         # A share of the box, not a length: boxes from above are in model units, however large these are.
-        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] - self.margin / seen.zoom, 1e-6 * xylwa[:, 2:4])
+        xylwa[:, 2:4] = np.maximum(seen.boxes.sides - self.margin / seen.zoom, 1e-6 * seen.boxes.sides)
         swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
-        xylwa[swapped, 2:4] = seen.boxes.xylwa[swapped, 2:4]
+        xylwa[swapped, 2:4] = seen.boxes.sides[swapped]
         tight = Boxes(xylwa, seen.boxes.score)
         size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
         if self.undercut.any():

@@ -15,7 +15,7 @@ def ground_size(boxes: Boxes, aspect: float = 1.0) -> np.ndarray:
     """
     across, down = np.cos(boxes.angle) * np.sqrt(aspect), np.sin(boxes.angle) / np.sqrt(aspect)
     longer = np.hypot(across, down)
-    return boxes.xylwa[:, 2:4] * np.stack([longer, 1 / longer], -1)
+    return boxes.sides * np.stack([longer, 1 / longer], -1)
 
 
 def square_pixels(aspect: float) -> np.ndarray:

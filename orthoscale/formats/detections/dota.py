@@ -36,7 +36,8 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     label = path.stem.partition("_")[2] if path.stem.startswith("Task1_") else None
     picture = None if only_picture else path.stem
     items = []
-    lines = [(number, line, line.split()) for number, line in enumerate(_lines(path), 1)]
+    text = read_text(path, "Give DOTA's text, or another format of detections.")
+    lines = [(number, line, line.split()) for number, line in enumerate(text.splitlines(), 1)]
     lines = [(n, line, words) for n, line, words in lines if words and not line.lower().startswith(HEADER)]
     of_ultralytics = [_of_ultralytics(words, picture) for _, _, words in lines]
     if all(of_ultralytics):  # a single line may fit several formats
@@ -73,10 +74,6 @@ def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> No
         for corners, score in zip(found.corners, found.score, strict=True):
             lines.append(f"{name} {score:.4f} " + " ".join(f"{v:.3f}" for v in corners.ravel()))
     path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
-
-
-def _lines(path: Path) -> list[str]:
-    return read_text(path, "Give DOTA's text, or another format of detections.").splitlines()
 
 
 def _of_ultralytics(words: Sequence[str], picture: str | None) -> Item | None:

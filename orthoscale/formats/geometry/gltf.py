@@ -20,6 +20,7 @@ from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
+GLB_HEAD = struct.Struct("<4sIIII")  # of a .glb: of the file, then of its JSON
 A_SCENE = "a glTF scene"
 WITHOUT_END = 3.4e38  # a length that would exceed this stays as it is: the largest 32-bit float stands for infinity
 ATTENUATION = "attenuationDistance"  # of light in a material, in the world's unit (KHR_materials_volume)
@@ -32,13 +33,13 @@ def scale_glb(source: Path, target: Path, scale: float) -> Referred:
     Raises InputError, UsageError."""
     size = source.stat().st_size
     with source.open("rb") as file:
-        head = file.read(20)
-        if len(head) < 20:
+        head = file.read(GLB_HEAD.size)
+        if len(head) < GLB_HEAD.size:
             raise InputError(f"{source}: {size} bytes, too few for a glTF file", EXPORT_ANEW)
-        magic, version, announced, length, kind = struct.unpack("<4sIIII", head)
+        magic, version, announced, length, kind = GLB_HEAD.unpack(head)
         if magic != MAGIC or version != VERSION or kind != JSON_CHUNK:
             raise InputError(f"{source}: not a binary glTF 2.0 file", "Export it as glTF 2.0.")
-        if announced != size or 20 + length > size:
+        if announced != size or GLB_HEAD.size + length > size:
             raise InputError(f"{source}: {size} bytes, but its header says {announced}", EXPORT_ANEW)
         if length > HUGE:
             raise InputError(f"{source}: its JSON is larger than the {HUGE // MIB} MiB that it may have", EXPORT_ANEW)
@@ -46,7 +47,7 @@ def scale_glb(source: Path, target: Path, scale: float) -> Referred:
         new = json.dumps(_scaled(source, text, scale), separators=(",", ":")).encode()
         new += b" " * (-len(new) % 4)
         with target.open("wb") as out:
-            out.write(struct.pack("<4sIIII", MAGIC, VERSION, size - length + len(new), len(new), JSON_CHUNK) + new)
+            out.write(GLB_HEAD.pack(MAGIC, VERSION, size - length + len(new), len(new), JSON_CHUNK) + new)
             shutil.copyfileobj(file, out, 1 << 20)
     return _referred(source, text)
 

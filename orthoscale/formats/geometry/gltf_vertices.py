@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -15,10 +14,9 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, decoded, read_bytes
 from ..schemas.gltf import GltfGeometry, GltfPlacedNode
 from .beside import beside
-from .gltf import A_SCENE
+from .gltf import A_SCENE, GLB_HEAD
 from .ply import ROWS
 
-GLB_HEAD = struct.Struct("<4sIIII")  # of a .glb: of the file, then of its JSON
 CHUNK_HEAD = 8  # [bytes] of the buffer that follows
 FLOAT = 5126  # type of 32-bit numbers
 ROW = 12  # [bytes] of three of these

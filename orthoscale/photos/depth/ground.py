@@ -119,7 +119,7 @@ def _rings(boxes: Boxes) -> np.ndarray:
     side = np.linspace(-1, 1, ALONG_SIDE, endpoint=False)
     one = np.ones_like(side)
     square = np.concatenate([np.stack(v, 1) for v in ((side, -one), (one, side), (-side, one), (-one, -side))])
-    half = np.stack([boxes.length, boxes.width], 1) / 2
+    half = boxes.sides / 2
     reach = half[:, None] + np.array(RINGS)[:, None] * boxes.width[:, None, None]
     local = (square[None, None] * reach[:, :, None]).reshape(len(boxes), -1, 2)
     return boxes.centre[:, None] + local[..., :1] * boxes.along[:, None] + local[..., 1:] * boxes.across[:, None]
