@@ -286,6 +286,7 @@ def break_csv(text):
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
         ("table", break_csv("image,altitude_m,pitch_deg\nphotos/000.jpg,50,90\n"), "line 2: pitch_deg is 90"),
+        ("table", break_csv("image,altitude_m,roll_deg\nphotos/000.jpg,50,1e9\n"), r"line 2: roll_deg is 1e\+09"),
         ("visloc", lambda f: (f / "01" / "camera.xml").write_text("<calibration/>"), "camera.xml"),
         ("visloc", lambda f: (f / "01" / "camera.xml").unlink(), "no camera.xml"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),

@@ -136,7 +136,7 @@ def test_wishes(text, count, centre, bearing):
 
 @pytest.mark.parametrize(
     "text, word", [("curling", "Known are basketball"), ("tennis:0", "count"), ("tennis@a,b", "no place"),
-                   ("tennis@1", "no place"), ("parking-ZZ:4", "parking-COUNTRY"), ("a b", "not understood")]
+                   ("tennis@1", "no place"), ("tennis@1,2,1e30", "no place"), ("parking-ZZ:4", "parking-COUNTRY"), ("a b", "not understood")]
 )  # fmt: skip
 def test_wishes_that_make_no_sense(text, word):
     with pytest.raises(UsageError, match=word):

@@ -818,6 +818,7 @@ def bad_photo(folder, kind):
         ("no EXIF", [], 5, "no focal length"),
         ("no EXIF", ["--focal-px", "-1"], 2, "positive"),
         ("no EXIF", ["--focal-px", "900", "--pitch", "10"], 2, "--pitch"),
+        ("no EXIF", ["--focal-px", "900", "--pitch", "-60", "--roll", "1e30"], 2, "--roll"),
         ("no EXIF", ["--focal-px", "900", "--out", "x.doc"], 2, "x.doc"),
         ("no EXIF", ["--focal-px", "900", "--out", "nowhere/x.csv"], 6, "nowhere"),
         ("no EXIF", ["--focal-px", "900"], 5, "none of its 3 pictures is in"),
