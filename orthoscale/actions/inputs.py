@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -49,7 +49,7 @@ class Named:
         for word in self.words:
             named = [word]
             if _is_pattern(word):
-                named = [Path(name) for name in sorted(glob.glob(str(word), recursive=True))]
+                named = [Path(name) for name in sorted(_fitting(word.parts))]
                 if not named:
                     raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
             for path in named:
@@ -173,6 +173,30 @@ def _models_in(path: Path, alone: bool) -> list[Path]:
         if alone:
             raise
         return []
+
+
+def _fitting(parts: Sequence[str]) -> set[str]:
+    """The paths that fit a pattern of these `parts`, of which ``**`` means any number of folders."""
+    if "**" not in parts:
+        return set(glob.glob(os.path.join(*parts)))
+    at = parts.index("**")
+    tops = glob.glob(os.path.join(*parts[:at])) if at else [os.curdir]
+    rest = parts[at + 1 :] or ("*",)
+    return {path for top in tops for folder in _folders(top) for path in _fitting((glob.escape(folder), *rest))}
+
+
+def _folders(top: str) -> Iterator[str]:
+    """The folder `top` and those below it, also behind links, but without hidden ones. Each is looked into once, and
+    none in which `top` lies: links may lead in circles, in more ways than could ever be followed."""
+    seen = set(Path(os.path.realpath(top)).parents)
+    for folder, below, _ in os.walk(top, followlinks=True):
+        real = Path(os.path.realpath(folder))
+        if real in seen:
+            below.clear()
+            continue
+        seen.add(real)
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        yield folder
 
 
 def _is_pattern(word: Path) -> bool:
