@@ -1503,7 +1503,8 @@ def test_a_pipe_that_a_vrt_names_is_not_waited_for(tmp_path, nested):
 @pytest.mark.parametrize("part", [False, True])
 def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
     path = make(tmp_path / "a.tif")
-    os.mkfifo(tmp_path / "another.tfw")
+    for other in ("another.tfw", "log.txt", "jobs.xml"):
+        os.mkfifo(tmp_path / other)
     os.symlink("nowhere", tmp_path / "a.missing")
     (tmp_path / "a.folder").mkdir()
     RasterSource.open(path).close()
@@ -1519,6 +1520,8 @@ def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
         ("IMG_town_R1C1.tif", "DIM_town.XML"),
         ("LC08_L1TP_B4.tif", "LC08_L1TP_MTL.txt"),
         ("IMG-town.tif", "HDR-town.txt"),
+        ("IMG-town.tif", "summary.txt"),
+        ("po_town_pan_0000000.tif", "po_town_metadata.txt"),
         ("town.1.tif", "town.pass"),
     ],
 )
