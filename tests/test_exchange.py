@@ -662,6 +662,7 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.txt", "ortho 0.9 nan 5 9 5 9 7 5 7\n", "box 1 of ortho.tif is not made of numbers"),
         ("d.txt", "ortho 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes lie outside of ortho.tif"),
         ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, 3, 4]}], "images": IMAGE}, "no direction"),
+        ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, -3, 4, 0]}], "images": IMAGE}, "no extent"),
         ("d.json", {"annotations": [{"image_id": 2, "bbox": [1] * 5}], "images": IMAGE}, "not among its images"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": {"counts": "ab"}}]}, r"mask \(RLE\)"),
         (
@@ -688,6 +689,10 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.gpkg", "hello", "not a GeoPackage|pyogrio"),
         ("d.csv", "cx,cy,length\n", "no column width and angle"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
+        *(
+            ("d.csv", f"cx,cy,length,width,angle\n9,9,4,2,0\n1,2,{box}\n", "line 3: length and width must be positive")
+            for box in ("-3,2,0", "3,-2,0", "-3,-2,0", "3,0,0", "3,2,1e30")
+        ),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
         ("d.csv", "cx,cy,length,width,angle\n1,5,2,3,2,0,5\n", "line 2: has more cells than the header has"),
         ("d.csv", "", "no column cx"),
