@@ -268,6 +268,12 @@ def test_a_pitch_that_is_given_keeps_the_roll_that_is_known(tmp_path, roll, kept
     assert both.up == pytest.approx(up_from_gimbal(np.radians(-60))) and both.attitude == "pitch -60, given"
 
 
+@pytest.mark.parametrize(("gps", "altitude"), [((380.5,), 380.5), ((380.5, b"\0"), 380.5), ((380.5, b"\1"), -380.5)])
+def test_an_altitude_below_the_sea_is_negative(tmp_path, gps, altitude):
+    """Over the Dead Sea a drone that climbed seemed to sink."""
+    assert read_tags(write_photo(tmp_path / "a.jpg", gps=(35.5, 31.5, *gps))).altitude == altitude
+
+
 def test_what_was_cropped_and_may_be_smaller_is_refused(tmp_path):
     with pytest.raises(InputError, match="1920 x 1080 px are a crop of the 4000 x 3000 px"):
         lens_of(tags(1920, 1080, 4000, full_height=3000, focal_35mm=20))
