@@ -35,6 +35,7 @@ from rasterio.transform import Affine
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import gdal
+from orthoscale.sources.fingerprint import Stamp
 from orthoscale.sources.georeference import claim_of
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
@@ -1531,6 +1532,12 @@ def test_a_pipe_named_as_a_satellites_metadata_is_not_waited_for(tmp_path, name,
     os.mkfifo(tmp_path / beside)
     with pytest.raises(InputError, match=f"{beside} is a pipe or a device"):
         RasterSource.open(path)
+
+
+def test_of_a_file_that_cannot_be_read_permissions_are_named_too(tmp_path):
+    with pytest.raises(InputError, match="gone.tif: cannot be read") as told:
+        Stamp.of(tmp_path / "gone.tif")
+    assert "permissions" in told.value.hint and "moved" in told.value.hint
 
 
 def test_ground_control_that_is_no_number_is_not_believed(tmp_path):
