@@ -202,12 +202,14 @@ def _degrees(shape: BaseGeometry) -> bool:
     return bool((np.abs(shapely.get_coordinates(shape)) <= [360, 90]).all())
 
 
-def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
+def read_area(
+    path: Path, ground: MetricOrthophoto, pixels: bool = False, least_inside: float = 0.0
+) -> tuple[BaseGeometry, tuple[str, ...]]:
     """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
 
     pixels : whether coordinates are columns and rows of the picture. Otherwise, if the picture has a place on Earth,
     coordinates of a file with its own CRS are transformed; for a picture in local metres they are taken as they are.
-    Raises InputError.
+    least_inside : share of the area below which the picture is another place's. Raises InputError.
     """
     area, own = _polygons(path, ground.longitude)
     notes: list[str] = []
@@ -231,7 +233,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
         raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
     picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
     inside = area.intersection(picture)
-    if inside.area < 1e-3 * area.area or not area.area > 0:
+    if not inside.area > least_inside * area.area:
         corners = ground.to_crs(shapely.get_coordinates(picture))
         ends = np.concatenate([corners.min(0), corners.max(0)])
         x0, y0, x1, y1 = np.round(ends, 8) + 0.0  # to a millimetre, also in degrees; of what is nearly 0 no -1e-28
@@ -241,5 +243,6 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
             "for columns and rows add --lot-pixels.",
         )
     if inside.area < 0.999 * area.area:
-        notes.append(f"{path.name}: {100 * (1 - inside.area / area.area):.0f} % lies outside of the picture, left out")
+        outside = min(round(100 * (1 - inside.area / area.area)), 99)
+        notes.append(f"{path.name}: {outside} % lies outside of the picture, left out")
     return inside, tuple(notes)
