@@ -299,6 +299,28 @@ def test_boxes_on_the_map_fit_another_cut_of_a_picture_but_no_resampled_one(tmp_
         load(tmp_path / name, larger)
 
 
+def test_boxes_in_one_of_several_layers_are_those_of_the_vehicles(tmp_path):
+    """Any first layer of a project's GeoPackage was taken for them."""
+    source = raster(tmp_path / "ortho.tif", *PLACES["UTM"])
+    save(Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), ""), tmp_path / "d.gpkg", source)
+    meta, _, shapes, _ = pyogrio.raw.read(tmp_path / "d.gpkg")
+    for name, layers in {"a.gpkg": ("roofs", "vehicles"), "b.gpkg": ("roofs", "cars")}.items():
+        for layer in layers:
+            pyogrio.raw.write(
+                tmp_path / name,
+                shapes if layer != "roofs" else shapes[:1],
+                [],
+                np.array([], object),
+                layer=layer,
+                geometry_type="Polygon",
+                crs=meta["crs"],
+                append=layer != "roofs",
+            )
+    assert len(load(tmp_path / "a.gpkg", source).boxes["ortho.tif"]) == len(BOXES)
+    with pytest.raises(InputError, match=r"several layers \(roofs, cars\), and none is called vehicles"):
+        load(tmp_path / "b.gpkg", source)
+
+
 def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tmp_path):
     """Labels of Ultralytics: shares of the picture's width and height."""
     model, _ = make_model()

@@ -616,6 +616,19 @@ def test_what_does_not_fit_ends_with_a_code_of_its_own_and_leaves_the_others(tmp
     assert json.loads(done.stdout) == made if more else "placed     2 of 4" in done.stdout
 
 
+def test_of_a_file_with_several_layers_the_one_that_is_read_is_told(tmp_path):
+    """Of a project's GeoPackage any first layer was taken for the lot."""
+    for layer in ("old", "lot"):
+        shape = np.array([shapely.to_wkb(box(5, 5, 65, 45))], object)
+        more = {"append": True} if layer == "lot" else {}
+        pyogrio.raw.write(
+            tmp_path / "a.gpkg", shape, [], np.array([], object), layer=layer, geometry_type="Polygon", crs=None, **more
+        )
+    assert (
+        "a.gpkg: its layer old is read, and not lot" in plan(orthophoto(tmp_path), tmp_path / "a.gpkg", ["padel"]).notes
+    )
+
+
 def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):
     """In numbers that can be read: the corner of a copy that `fix` writes may lie at -9e-29."""
     path = orthophoto(tmp_path)
