@@ -498,6 +498,7 @@ def test_dota_labels(plain, tmp_path):
     (box,) = load_text(plain, tmp_path, "any.txt", text).boxes["ortho.tif"].xylwa
     assert box == pytest.approx([30, 28.5, 40, 17, 0])
     assert len(load_text(plain, tmp_path, "labels/ortho.txt", text).boxes["ortho.tif"]) == 1
+    (tmp_path / "labels/._ortho.txt").write_bytes(b"\0\5\x16\7")  # macOS leaves these on disks of other systems
     assert len(load(tmp_path / "labels", plain).boxes["ortho.tif"]) == 1, "a folder of label files"
     assert len(load_text(plain, tmp_path, "a.txt", text, vehicle_classes=["large vehicle", "ship"])) == 2
 

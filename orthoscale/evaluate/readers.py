@@ -122,7 +122,7 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
             own_lens = region / "camera.xml"
             if not own_lens.is_file():
                 raise InputError(f"{region}: no camera.xml", "Give --lens or --focal-px.")
-        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}"))]
+        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}")) if p.name[0] != "."]
         if not models:
             raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
         poses = _read_poses(region / "reference.txt")

@@ -133,13 +133,15 @@ def files_below(
     folder: Path, suffixes: Container[str] | None = None, onerror: Callable[[OSError], None] | None = None
 ) -> list[Path]:
     """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
-    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder. onerror :
-    called for a folder that cannot be read, which is else left out."""
+    suffix (in lower case) is one of `suffixes`, and no hidden ones, as macOS leaves beside others (``._a.jpg``). Only
+    these are kept in memory, however large the folder. onerror : called for a folder that cannot be read, which is else
+    left out."""
     found = []
     for place, _, names in os.walk(folder, onerror=onerror):
         for name in names:
             path = Path(place, name)
-            if (suffixes is None or path.suffix.lower() in suffixes) and path.is_file():
+            wanted = suffixes is None or path.suffix.lower() in suffixes
+            if wanted and not name.startswith(".") and path.is_file():
                 found.append(path)
     return sorted(found)
 
