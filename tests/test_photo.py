@@ -144,6 +144,9 @@ def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
         find_photos([tmp_path])
     write_photo(tmp_path / "a.jpg")
     (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")  # macOS leaves these on cards
+    for place in (".Trash-1000/files", "@eaDir/a.jpg"):  # deleted photos, thumbnails of a network drive
+        (tmp_path / place).mkdir(parents=True)
+        write_photo(tmp_path / place / "b.jpg")
     assert list(find_photos([tmp_path]).paths) == ["a.jpg"]
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from ..errors import InputError, UsageError
 from ..formats.names import first_few
 from ..formats.pictures import PICTURES
+from ..formats.reading import is_hidden
 from ..sources.exchange_files import find_exchange
 from ..system.paths import absolute
 from ..system.signatures import ours
@@ -195,7 +196,7 @@ def _folders(top: str) -> Iterator[str]:
             below.clear()
             continue
         seen.add(real)
-        below[:] = sorted(name for name in below if not name.startswith("."))
+        below[:] = sorted(name for name in below if not is_hidden(name))
         yield folder
 
 
@@ -220,7 +221,7 @@ def _inside(folder: Path) -> _Listed:
     """The contents of a `folder` that is no model."""
     listed = _Listed()
     for each in sorted(folder.iterdir()):
-        if each.name.startswith("."):
+        if is_hidden(each.name):
             continue
         if each.is_dir():
             (listed.inputs if _is_model(each) else listed.below).append(each)

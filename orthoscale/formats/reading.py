@@ -28,6 +28,7 @@ LFS_POINTER = b"version https://git-lfs"  # how it begins
 # Names, in lower case, of the metadata that GDAL reads for pictures whose names do not begin alike: of SPOT, ALOS,
 # Pleiades, Landsat and IKONOS. Found by tracing what GDAL 3.10 looks for.
 _OF_SATELLITES = re.compile(r"metadata\.dim|summary\.txt|(hdr|rpc|dim_).*|.*_(mtl|metadata)\.txt")
+OF_DRIVES = ("@eaDir", "@Recycle", "#recycle", "$RECYCLE.BIN")  # folders of Synology's and QNAP's drives, of Windows
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 NOT_FETCHED = "Only files on this computer are read: download or unpack it, and give the file."
@@ -129,19 +130,26 @@ def refuse_pointer(path: Path) -> None:
         raise InputError(f"{path}: only a pointer of Git LFS, not the file", "Fetch the file with `git lfs pull`.")
 
 
+def is_hidden(name: str) -> bool:
+    """Whether a file or folder of that name is none of its user's: hidden, or where drives keep thumbnails and what was
+    deleted."""
+    return name.startswith(".") or name in OF_DRIVES
+
+
 def files_below(
     folder: Path, suffixes: Container[str] | None = None, onerror: Callable[[OSError], None] | None = None
 ) -> list[Path]:
     """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
-    suffix (in lower case) is one of `suffixes`, and no hidden ones, as macOS leaves beside others (``._a.jpg``). Only
+    suffix (in lower case) is one of `suffixes`, and no hidden ones (`is_hidden`), as macOS leaves beside others. Only
     these are kept in memory, however large the folder. onerror : called for a folder that cannot be read, which is else
     left out."""
     found = []
-    for place, _, names in os.walk(folder, onerror=onerror):
+    for place, below, names in os.walk(folder, onerror=onerror):
+        below[:] = [name for name in below if not is_hidden(name)]
         for name in names:
             path = Path(place, name)
             wanted = suffixes is None or path.suffix.lower() in suffixes
-            if wanted and not name.startswith(".") and path.is_file():
+            if wanted and not is_hidden(name) and path.is_file():
                 found.append(path)
     return sorted(found)
 
