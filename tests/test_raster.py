@@ -636,6 +636,14 @@ def test_local_feet_are_told_in_metres(tmp_path):
     assert claim.gsd_m == pytest.approx(0.3048) and not claim.usable
 
 
+@pytest.mark.parametrize("world", ["\ufeff0.1\n0\n0\n-0.1\n5e5\n5e6\n", "0.1 0 0 -0.1 5e5 5e6\n", "0.1\n0\n0\n-0.1\n"])
+def test_a_world_file_that_gdal_leaves_aside_is_told(tmp_path, world):
+    """As an editor saves it, with a byte order mark; or as one line."""
+    path = converted(tmp_path / "a.jpg", "JPEG")
+    (tmp_path / "a.jgw").write_text(world)
+    assert RasterSource.open(path).claimed.why == "not georeferenced: GDAL does not understand a.jgw beside it"
+
+
 def test_world_file_alone(tmp_path):
     path = converted(tmp_path / "a.jpg", "JPEG")
     (tmp_path / "a.jgw").write_text("0.1\n0\n0\n-0.1\n500000\n5400000\n")
