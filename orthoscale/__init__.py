@@ -42,6 +42,10 @@ libz.settle()
 # onnxruntime's wheels (1.31 at least) send telemetry to their maker's server, from the first import on. Pictures and
 # their names are nobody's business, so it is off; set the variable to 0 to allow it.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+# Numpy's f2py, which scipy imports, takes this variable of build systems for a number, and ends the process if it is
+# none, such as empty. Nothing here depends on it.
+if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
+    del os.environ["SOURCE_DATE_EPOCH"]
 
 if TYPE_CHECKING:
     from .actions.apply import apply

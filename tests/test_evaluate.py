@@ -74,6 +74,8 @@ def test_a_denseuav_folder(folders):
 
 
 def test_a_visloc_folder(folders):
+    for name in ("visloc/01/._region01_dsm.tif", "visloc/01/drone/._000.jpg"):
+        (folders / name).write_bytes(b"\0\5\x16\7")  # macOS leaves these on disks of other systems
     samples, notes = read_samples(folders / "visloc")
     assert len(samples) == 4 and not notes and {s.region for s in samples} == {"01", "02"}
     lines = (folders / "visloc" / "01" / "reference.txt").read_text().splitlines()[1:]
@@ -286,6 +288,7 @@ def break_csv(text):
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
         ("table", break_csv("image,altitude_m,pitch_deg\nphotos/000.jpg,50,90\n"), "line 2: pitch_deg is 90"),
+        ("table", break_csv("image,altitude_m,roll_deg\nphotos/000.jpg,50,1e9\n"), r"line 2: roll_deg is 1e\+09"),
         ("visloc", lambda f: (f / "01" / "camera.xml").write_text("<calibration/>"), "camera.xml"),
         ("visloc", lambda f: (f / "01" / "camera.xml").unlink(), "no camera.xml"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),

@@ -299,6 +299,28 @@ def test_boxes_on_the_map_fit_another_cut_of_a_picture_but_no_resampled_one(tmp_
         load(tmp_path / name, larger)
 
 
+def test_boxes_in_one_of_several_layers_are_those_of_the_vehicles(tmp_path):
+    """Any first layer of a project's GeoPackage was taken for them."""
+    source = raster(tmp_path / "ortho.tif", *PLACES["UTM"])
+    save(Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), ""), tmp_path / "d.gpkg", source)
+    meta, _, shapes, _ = pyogrio.raw.read(tmp_path / "d.gpkg")
+    for name, layers in {"a.gpkg": ("roofs", "vehicles"), "b.gpkg": ("roofs", "cars")}.items():
+        for layer in layers:
+            pyogrio.raw.write(
+                tmp_path / name,
+                shapes if layer != "roofs" else shapes[:1],
+                [],
+                np.array([], object),
+                layer=layer,
+                geometry_type="Polygon",
+                crs=meta["crs"],
+                append=layer != "roofs",
+            )
+    assert len(load(tmp_path / "a.gpkg", source).boxes["ortho.tif"]) == len(BOXES)
+    with pytest.raises(InputError, match=r"several layers \(roofs, cars\), and none is called vehicles"):
+        load(tmp_path / "b.gpkg", source)
+
+
 def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tmp_path):
     """Labels of Ultralytics: shares of the picture's width and height."""
     model, _ = make_model()
@@ -476,6 +498,7 @@ def test_dota_labels(plain, tmp_path):
     (box,) = load_text(plain, tmp_path, "any.txt", text).boxes["ortho.tif"].xylwa
     assert box == pytest.approx([30, 28.5, 40, 17, 0])
     assert len(load_text(plain, tmp_path, "labels/ortho.txt", text).boxes["ortho.tif"]) == 1
+    (tmp_path / "labels/._ortho.txt").write_bytes(b"\0\5\x16\7")  # macOS leaves these on disks of other systems
     assert len(load(tmp_path / "labels", plain).boxes["ortho.tif"]) == 1, "a folder of label files"
     assert len(load_text(plain, tmp_path, "a.txt", text, vehicle_classes=["large vehicle", "ship"])) == 2
 
@@ -662,6 +685,7 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.txt", "ortho 0.9 nan 5 9 5 9 7 5 7\n", "box 1 of ortho.tif is not made of numbers"),
         ("d.txt", "ortho 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes lie outside of ortho.tif"),
         ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, 3, 4]}], "images": IMAGE}, "no direction"),
+        ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, -3, 4, 0]}], "images": IMAGE}, "no extent"),
         ("d.json", {"annotations": [{"image_id": 2, "bbox": [1] * 5}], "images": IMAGE}, "not among its images"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": {"counts": "ab"}}]}, r"mask \(RLE\)"),
         (
@@ -688,6 +712,10 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.gpkg", "hello", "not a GeoPackage|pyogrio"),
         ("d.csv", "cx,cy,length\n", "no column width and angle"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
+        *(
+            ("d.csv", f"cx,cy,length,width,angle\n9,9,4,2,0\n1,2,{box}\n", "line 3: length and width must be positive")
+            for box in ("-3,2,0", "3,-2,0", "-3,-2,0", "3,0,0", "3,2,1e30")
+        ),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
         ("d.csv", "cx,cy,length,width,angle\n1,5,2,3,2,0,5\n", "line 2: has more cells than the header has"),
         ("d.csv", "", "no column cx"),

@@ -136,7 +136,8 @@ def test_wishes(text, count, centre, bearing):
 
 @pytest.mark.parametrize(
     "text, word", [("curling", "Known are basketball"), ("tennis:0", "count"), ("tennis@a,b", "no place"),
-                   ("tennis@1", "no place"), ("parking-ZZ:4", "parking-COUNTRY"), ("a b", "not understood")]
+                   ("tennis@1", "no place"), ("tennis@1,2,1e30", "no place"),
+                   ("parking-ZZ:4", "parking-COUNTRY"), ("a b", "not understood")]
 )  # fmt: skip
 def test_wishes_that_make_no_sense(text, word):
     with pytest.raises(UsageError, match=word):
@@ -491,9 +492,11 @@ def test_a_report_of_another_scale_does_not_say_how_certain_this_one_is(tmp_path
         assert (open_ground(path).interval is None) == (why is None)
 
 
-def test_what_must_be_avoided_does_not_hold_a_facility_when_the_scale_is_off(tmp_path):
+@pytest.mark.parametrize(("east", "north"), [(65, 45), (9e4, 9e4)])
+def test_what_must_be_avoided_does_not_hold_a_facility_when_the_scale_is_off(tmp_path, east, north):
+    """Also where it is all the trees of a city, hardly any of them in the picture: these were said to lie outside."""
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
-    tree = lot_file(tmp_path / "tree.geojson", [(40, 5), (65, 5), (65, 45), (40, 45)])
+    tree = lot_file(tmp_path / "tree.geojson", [(40, 5), (east, 5), (east, north), (40, north)])
     path = orthophoto(tmp_path)
     text = document(plan(path, lot, ["basketball@29,25"], avoid=tree, scale_error=0.2))
     (row,) = text["facilities"]
@@ -596,6 +599,8 @@ def test_a_side_that_is_nearly_north_is_not_told_to_point_south(tmp_path):
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--clearance", "-1"], 2, "clearance"),
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--scale-error", "120"], 2, "100 per cent"),
         ([(500, 500), (560, 500), (560, 560)], ["--facility", "padel"], 5, "outside"),
+        ([(50, 30), (660, 30), (660, 440), (50, 440)], ["--facility", "padel"], 5, "add --lot-pixels"),
+        ([(9, 48), (9.001, 48), (9, 48.001)], ["--facility", "padel"], 5, "a lot of 5e-07 m2"),
         ([(5, 5), (5, 5), (5, 5)], ["--facility", "padel"], 5, "no polygon"),
         (None, ["--facility", "padel"], 5, "not GeoJSON"),
     ],
@@ -620,6 +625,19 @@ def test_what_does_not_fit_ends_with_a_code_of_its_own_and_leaves_the_others(tmp
     made = json.loads((tmp_path / "out" / "layout.json").read_text())
     assert [row["code"] for row in made["facilities"]] == ["padel", "padel"]
     assert json.loads(done.stdout) == made if more else "placed     2 of 4" in done.stdout
+
+
+def test_of_a_file_with_several_layers_the_one_that_is_read_is_told(tmp_path):
+    """Of a project's GeoPackage any first layer was taken for the lot."""
+    for layer in ("old", "lot"):
+        shape = np.array([shapely.to_wkb(box(5, 5, 65, 45))], object)
+        more = {"append": True} if layer == "lot" else {}
+        pyogrio.raw.write(
+            tmp_path / "a.gpkg", shape, [], np.array([], object), layer=layer, geometry_type="Polygon", crs=None, **more
+        )
+    assert (
+        "a.gpkg: its layer old is read, and not lot" in plan(orthophoto(tmp_path), tmp_path / "a.gpkg", ["padel"]).notes
+    )
 
 
 def test_a_lot_outside_is_told_where_the_picture_lies(tmp_path):

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from contextlib import nullcontext, suppress
+from glob import glob
 from itertools import permutations
 from pathlib import Path
 from unittest import mock
@@ -202,6 +203,25 @@ def test_what_is_named(parks, tmp_path):
         _ = Named([tmp_path / "empty"]).inputs
     assert Named([tmp_path / "empty", pictures / "a.png"]).inputs == [tmp_path / "empty", pictures / "a.png"]
     assert Named([tmp_path / "*"]).inputs == [tmp_path / "a.png", tmp_path / "empty", *both], "it stopped all others"
+
+
+@pytest.mark.parametrize("end", ["*.tif", "2020/*.tif", "**/b.tif", ""])
+def test_a_pattern_looks_once_into_each_folder_behind_links(tmp_path, monkeypatch, end):
+    """Five links up the tree make 5 to the power of 40 paths, which it went on listing for ever."""
+    home, other = tmp_path / "home", tmp_path / "other [1]"
+    for place in (home / "2020", home / "2021", home / ".hidden/2020", home / "@eaDir/2020", other / "2020"):
+        place.mkdir(parents=True)
+        for name in ("a.tif", "b.tif"):
+            (place / name).touch()
+    plain = {os.path.realpath(each) for each in glob(str(home / "**" / end), recursive=True) if "@" not in each}
+    for k in range(5):
+        (home / f"2020/up{k}").symlink_to(home if k % 2 else tmp_path)
+    monkeypatch.chdir(home)
+    for start in (home, Path()):
+        found = [each for each in Named([start / "**" / end]).inputs if each.is_file()]
+        assert {os.path.realpath(each) for each in found} == {each for each in plain if each.endswith(".tif")}
+    (home / "linked").symlink_to(other)
+    assert (home / "linked/2020/b.tif") in Named([home / "**" / end]).inputs
 
 
 def test_folders_that_are_not_looked_into_are_said(tmp_path):

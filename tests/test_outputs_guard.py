@@ -1181,6 +1181,19 @@ def test_unreadable_inputs_are_exit_code_5(tmp_path, monkeypatch):
     assert done.returncode == 5 and "Usage" not in done.stderr
 
 
+@pytest.mark.parametrize("left", [".DS_Store", "Thumbs.db", "desktop.ini", "._a", "inner/.DS_Store"])
+def test_what_systems_leave_in_an_output_that_was_looked_at_is_nobodys(tmp_path, left):
+    """Once it was opened in macOS's Finder, an output could never be replaced again."""
+    write_folder(tmp_path / "out", ("a", "b"))
+    write_folder(tmp_path / "out/inner", ("a", "b"))
+    (tmp_path / "out" / left).write_bytes(b"\0\0\0\1Bud1")
+    write_folder(tmp_path / "out", overwrite=True)
+    assert names(tmp_path / "out") == [FOLDER_MARK, "x"]
+    (tmp_path / "out" / ".mine").touch()
+    with pytest.raises(UsageError, match="out holds .mine, which orthoscale did not write"):
+        write_folder(tmp_path / "out", overwrite=True)
+
+
 def test_what_is_in_the_way_in_an_output_within_another_is_named_itself(tmp_path):
     """A file that the user put into one of a workspace's models: it was a file of that model, which is orthoscale's."""
     write_folder(tmp_path / "out", ("a", "b"))

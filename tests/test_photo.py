@@ -144,6 +144,9 @@ def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
         find_photos([tmp_path])
     write_photo(tmp_path / "a.jpg")
     (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")  # macOS leaves these on cards
+    for place in (".Trash-1000/files", "@eaDir/a.jpg"):  # deleted photos, thumbnails of a network drive
+        (tmp_path / place).mkdir(parents=True)
+        write_photo(tmp_path / place / "b.jpg")
     assert list(find_photos([tmp_path]).paths) == ["a.jpg"]
 
 
@@ -267,6 +270,12 @@ def test_a_pitch_that_is_given_keeps_the_roll_that_is_known(tmp_path, roll, kept
     assert photo.attitude == "pitch -60, given" + (f"; roll {kept}, from XMP" if kept else "")
     both = open_photo(path, pitch=-60, roll=0)
     assert both.up == pytest.approx(up_from_gimbal(np.radians(-60))) and both.attitude == "pitch -60, given"
+
+
+@pytest.mark.parametrize(("gps", "altitude"), [((380.5,), 380.5), ((380.5, b"\0"), 380.5), ((380.5, b"\1"), -380.5)])
+def test_an_altitude_below_the_sea_is_negative(tmp_path, gps, altitude):
+    """Over the Dead Sea a drone that climbed seemed to sink."""
+    assert read_tags(write_photo(tmp_path / "a.jpg", gps=(35.5, 31.5, *gps))).altitude == altitude
 
 
 def test_what_was_cropped_and_may_be_smaller_is_refused(tmp_path):
@@ -831,6 +840,7 @@ def bad_photo(folder, kind):
         ("no EXIF", [], 5, "no focal length"),
         ("no EXIF", ["--focal-px", "-1"], 2, "positive"),
         ("no EXIF", ["--focal-px", "900", "--pitch", "10"], 2, "--pitch"),
+        ("no EXIF", ["--focal-px", "900", "--pitch", "-60", "--roll", "1e30"], 2, "--roll"),
         ("no EXIF", ["--focal-px", "900", "--out", "x.doc"], 2, "x.doc"),
         ("no EXIF", ["--focal-px", "900", "--out", "nowhere/x.csv"], 6, "nowhere"),
         ("no EXIF", ["--focal-px", "900"], 5, "none of its 3 pictures is in"),

@@ -57,6 +57,15 @@ def test_the_network_tells_nobody_that_it_is_used(tmp_path):
     assert not list(tmp_path.rglob("*"))
 
 
+@pytest.mark.parametrize("date", ["", "abc"])
+def test_a_date_for_builds_that_is_none_does_not_matter(date):
+    """Numpy, as scipy imports it, ended the program with "invalid literal for int()"."""
+    program = "import orthoscale; orthoscale.Scale"
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": date}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.slow
 def test_letters_that_standard_output_cannot_hold_are_escaped(tmp_path):
     """`fix` ended with 1, as by a bug, after the copy was in place: in ISO-8859-1, and into files on Windows."""

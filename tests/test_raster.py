@@ -35,6 +35,7 @@ from rasterio.transform import Affine
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import gdal
+from orthoscale.sources.fingerprint import Stamp
 from orthoscale.sources.georeference import claim_of
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
@@ -633,6 +634,14 @@ def test_local_feet_are_told_in_metres(tmp_path):
     crs = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
     claim = RasterSource.open(make(tmp_path / "a.tif", crs=crs, transform=Affine(1, 0, 5, 0, -1, 7))).claimed
     assert claim.gsd_m == pytest.approx(0.3048) and not claim.usable
+
+
+@pytest.mark.parametrize("world", ["\ufeff0.1\n0\n0\n-0.1\n5e5\n5e6\n", "0.1 0 0 -0.1 5e5 5e6\n", "0.1\n0\n0\n-0.1\n"])
+def test_a_world_file_that_gdal_leaves_aside_is_told(tmp_path, world):
+    """As an editor saves it, with a byte order mark; or as one line."""
+    path = converted(tmp_path / "a.jpg", "JPEG")
+    (tmp_path / "a.jgw").write_text(world)
+    assert RasterSource.open(path).claimed.why == "not georeferenced: GDAL does not understand a.jgw beside it"
 
 
 def test_world_file_alone(tmp_path):
@@ -1503,7 +1512,8 @@ def test_a_pipe_that_a_vrt_names_is_not_waited_for(tmp_path, nested):
 @pytest.mark.parametrize("part", [False, True])
 def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
     path = make(tmp_path / "a.tif")
-    os.mkfifo(tmp_path / "another.tfw")
+    for other in ("another.tfw", "log.txt", "jobs.xml"):
+        os.mkfifo(tmp_path / other)
     os.symlink("nowhere", tmp_path / "a.missing")
     (tmp_path / "a.folder").mkdir()
     RasterSource.open(path).close()
@@ -1519,6 +1529,8 @@ def test_a_pipe_beside_a_picture_is_not_waited_for(tmp_path, name, part):
         ("IMG_town_R1C1.tif", "DIM_town.XML"),
         ("LC08_L1TP_B4.tif", "LC08_L1TP_MTL.txt"),
         ("IMG-town.tif", "HDR-town.txt"),
+        ("IMG-town.tif", "summary.txt"),
+        ("po_town_pan_0000000.tif", "po_town_metadata.txt"),
         ("town.1.tif", "town.pass"),
     ],
 )
@@ -1528,6 +1540,12 @@ def test_a_pipe_named_as_a_satellites_metadata_is_not_waited_for(tmp_path, name,
     os.mkfifo(tmp_path / beside)
     with pytest.raises(InputError, match=f"{beside} is a pipe or a device"):
         RasterSource.open(path)
+
+
+def test_of_a_file_that_cannot_be_read_permissions_are_named_too(tmp_path):
+    with pytest.raises(InputError, match="gone.tif: cannot be read") as told:
+        Stamp.of(tmp_path / "gone.tif")
+    assert "permissions" in told.value.hint and "moved" in told.value.hint
 
 
 def test_ground_control_that_is_no_number_is_not_believed(tmp_path):

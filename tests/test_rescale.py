@@ -855,6 +855,17 @@ def test_a_dense_workspace_of_an_undistorter_alone_is_told_as_such(tmp_path):
     assert (tmp_path / "out" / "sparse" / "points3D.bin").is_file()
 
 
+def test_what_macos_leaves_beside_the_files_of_a_dense_workspace_is_none_of_them(tmp_path):
+    """On disks that Windows reads too; `fix --dense` refused such a workspace as damaged."""
+    source = dense_workspace(tmp_path / "dense")
+    for path in [*source.rglob("*.*")]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
+    (tmp_path / "out").mkdir()
+    said = scale_path(source, tmp_path / "out", SCALE)
+    assert "converted to metres too" in said[0] and not [note for note in said if "._" in note]
+    assert not list((tmp_path / "out").rglob("._*"))
+
+
 def test_dense_workspace(tmp_path):
     import pycolmap
 

@@ -19,6 +19,7 @@ from orthoscale.formats.geometry.files import ONE_FILE
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.formats.geometry.text_models import FIRST_OF_MANY, read_text_model
 from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.exchange_files import find_exchange
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.scaling import scale_path
 from orthoscale.sources.text_model import TextSource
@@ -117,6 +118,12 @@ def test_a_scale_is_not_applied_to_another_programs_model_of_another_unit(pinhol
         with pytest.raises(UsageError, match="is not the model"):
             apply(tmp_path / "out/sim3.json", paths[1], tmp_path / "none")
         apply(tmp_path / "out/sim3.json", save(pinhole[0], tmp_path / "sparse", "bin"), tmp_path / "more")
+
+
+def test_what_macos_leaves_beside_a_model_is_not_taken_for_it(pinhole, tmp_path):
+    path = nvm(pinhole[0], tmp_path)
+    (tmp_path / "._scene.nvm").write_bytes(b"\0\5\x16\7")
+    assert find_exchange(tmp_path) == path
 
 
 def test_a_camera_number_of_hundreds_of_digits_is_damage(pinhole, tmp_path):

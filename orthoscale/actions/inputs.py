@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -15,6 +15,7 @@ from pathlib import Path
 from ..errors import InputError, UsageError
 from ..formats.names import first_few
 from ..formats.pictures import PICTURES
+from ..formats.reading import is_hidden
 from ..sources.exchange_files import find_exchange
 from ..system.paths import absolute
 from ..system.signatures import ours
@@ -49,7 +50,7 @@ class Named:
         for word in self.words:
             named = [word]
             if _is_pattern(word):
-                named = [Path(name) for name in sorted(glob.glob(str(word), recursive=True))]
+                named = [Path(name) for name in sorted(_fitting(word.parts))]
                 if not named:
                     raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
             for path in named:
@@ -175,6 +176,30 @@ def _models_in(path: Path, alone: bool) -> list[Path]:
         return []
 
 
+def _fitting(parts: Sequence[str]) -> set[str]:
+    """The paths that fit a pattern of these `parts`, of which ``**`` means any number of folders."""
+    if "**" not in parts:
+        return set(glob.glob(os.path.join(*parts)))
+    at = parts.index("**")
+    tops = glob.glob(os.path.join(*parts[:at])) if at else [os.curdir]
+    rest = parts[at + 1 :] or ("*",)
+    return {path for top in tops for folder in _folders(top) for path in _fitting((glob.escape(folder), *rest))}
+
+
+def _folders(top: str) -> Iterator[str]:
+    """The folder `top` and those below it, also behind links, but without hidden ones. Each is looked into once, and
+    none in which `top` lies: links may lead in circles, in more ways than could ever be followed."""
+    seen = set(Path(os.path.realpath(top)).parents)
+    for folder, below, _ in os.walk(top, followlinks=True):
+        real = Path(os.path.realpath(folder))
+        if real in seen:
+            below.clear()
+            continue
+        seen.add(real)
+        below[:] = sorted(name for name in below if not is_hidden(name))
+        yield folder
+
+
 def _is_pattern(word: Path) -> bool:
     return glob.has_magic(str(word)) and not os.path.lexists(word)
 
@@ -196,7 +221,7 @@ def _inside(folder: Path) -> _Listed:
     """The contents of a `folder` that is no model."""
     listed = _Listed()
     for each in sorted(folder.iterdir()):
-        if each.name.startswith("."):
+        if is_hidden(each.name):
             continue
         if each.is_dir():
             (listed.inputs if _is_model(each) else listed.below).append(each)

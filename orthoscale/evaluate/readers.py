@@ -122,7 +122,7 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
             own_lens = region / "camera.xml"
             if not own_lens.is_file():
                 raise InputError(f"{region}: no camera.xml", "Give --lens or --focal-px.")
-        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}"))]
+        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}")) if p.name[0] != "."]
         if not models:
             raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
         poses = _read_poses(region / "reference.txt")
@@ -216,6 +216,9 @@ def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: fl
             f"{path}, line {line}: pitch_deg is {pitch:g}, not between -90 (straight down) and 0 (the horizon)",
             "Correct the column, or leave it out: then the photos' own tags count.",
         )
+    roll = number("roll_deg")
+    if roll is not None and not -360 <= roll <= 360:
+        raise InputError(f"{path}, line {line}: roll_deg is {roll:g}, not between -360 and 360", "Correct the column.")
     place = path.parent / (row["image"] or "").strip()
     if focal_px is None and lens_file is None:
         focal_px = number("focal_px")
@@ -225,7 +228,7 @@ def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: fl
         lens_file=lens_file,
         focal_px=focal_px,
         pitch=pitch,
-        roll=number("roll_deg"),
+        roll=roll,
     )
     return Sample(photo, altitude, (row.get("region") or "").strip() or path.stem)
 

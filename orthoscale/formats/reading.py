@@ -25,9 +25,10 @@ LARGE = 256 * MIB  # a list of vehicles: two million boxes
 HUGE = 1024 * MIB  # a model with its points
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how a text in it begins
 LFS_POINTER = b"version https://git-lfs"  # how it begins
-# Endings of the metadata that GDAL reads for pictures of other names, too: ``METADATA.DIM`` of SPOT, ``DIM_x.XML`` of
-# Pleiades, ``x_MTL.txt`` of Landsat, ``x.pass`` and ``x.rpc`` of EROS. Found by tracing what GDAL 3.10 opens.
-OF_SATELLITES = (".dim", ".pass", ".rpc", ".txt", ".xml")
+# Names, in lower case, of the metadata that GDAL reads for pictures whose names do not begin alike: of SPOT, ALOS,
+# Pleiades, Landsat and IKONOS. Found by tracing what GDAL 3.10 looks for.
+_OF_SATELLITES = re.compile(r"metadata\.dim|summary\.txt|(hdr|rpc|dim_).*|.*_(mtl|metadata)\.txt")
+OF_DRIVES = ("@eaDir", "@Recycle", "#recycle", "$RECYCLE.BIN")  # folders of Synology's and QNAP's drives, of Windows
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 NOT_FETCHED = "Only files on this computer are read: download or unpack it, and give the file."
@@ -97,13 +98,14 @@ def check_regular(path: Path, hint: str) -> None:
 
 def refuse_pipes_beside(files: Iterable[Path]) -> None:
     """Raise InputError for a pipe or a device that lies beside one of `files` and is named as if it belonged to it,
-    such as ``a.tfw`` or ``a_rpc.txt``, or to any picture there: GDAL would read it as well, and wait for its other
-    end."""
+    such as ``a.tfw`` or ``a_rpc.txt`` beside ``a.tif``, ``a.pass`` beside ``a.1.tif``, or ``METADATA.DIM``: GDAL would
+    read it as well, and wait for its other end."""
     pipes = cache(_pipes_in)
     for path in files:
         for pipe in pipes(path.parent):
-            name = pipe.name.lower()
-            if name.startswith((f"{path.stem.lower()}.", f"{path.stem.lower()}_")) or name.endswith(OF_SATELLITES):
+            name, stem = pipe.name.lower(), path.stem.lower()
+            alike = name.startswith((f"{stem}.", f"{stem}_")) or stem.startswith(pipe.stem.lower())
+            if alike or _OF_SATELLITES.fullmatch(name):
                 raise InputError(f"{pipe} is a pipe or a device, and is read together with {path}", "Move it away.")
 
 
@@ -128,17 +130,26 @@ def refuse_pointer(path: Path) -> None:
         raise InputError(f"{path}: only a pointer of Git LFS, not the file", "Fetch the file with `git lfs pull`.")
 
 
+def is_hidden(name: str) -> bool:
+    """Whether a file or folder of that name is none of its user's: hidden, or where drives keep thumbnails and what was
+    deleted."""
+    return name.startswith(".") or name in OF_DRIVES
+
+
 def files_below(
     folder: Path, suffixes: Container[str] | None = None, onerror: Callable[[OSError], None] | None = None
 ) -> list[Path]:
     """The files in `folder` and the folders below it, sorted, without following links to folders; only those whose
-    suffix (in lower case) is one of `suffixes`. Only these are kept in memory, however large the folder. onerror :
-    called for a folder that cannot be read, which is else left out."""
+    suffix (in lower case) is one of `suffixes`, and no hidden ones (`is_hidden`), as macOS leaves beside others. Only
+    these are kept in memory, however large the folder. onerror : called for a folder that cannot be read, which is else
+    left out."""
     found = []
-    for place, _, names in os.walk(folder, onerror=onerror):
+    for place, below, names in os.walk(folder, onerror=onerror):
+        below[:] = [name for name in below if not is_hidden(name)]
         for name in names:
             path = Path(place, name)
-            if (suffixes is None or path.suffix.lower() in suffixes) and path.is_file():
+            wanted = suffixes is None or path.suffix.lower() in suffixes
+            if wanted and not is_hidden(name) and path.is_file():
                 found.append(path)
     return sorted(found)
 

@@ -119,7 +119,7 @@ def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
     try:
         x, y, *rest = (float(v) for v in place.split(","))
         (bearing,) = rest or (0.0,)
-        if not all(map(math.isfinite, (x, y, bearing))):
+        if not (math.isfinite(x) and math.isfinite(y) and abs(bearing) <= 360):
             raise ValueError
     except ValueError:
         raise UsageError(f"--facility {text!r}: no place in {place!r}", "Give CODE@X,Y or CODE@X,Y,BEARING.") from None

@@ -17,6 +17,7 @@ from ..core.affine import transformed
 from ..core.scale import PER_PIXEL
 from ..errors import InputError, UsageError, shown
 from ..formats.degrees import WGS_84, about_meridian, near_on_map, to_degrees
+from ..formats.names import first_few
 from ..formats.plain_path import readable
 from ..formats.reading import LARGE, check_regular, read, read_plain, refuse_pipes_beside
 from ..sources.gdal import reason
@@ -166,9 +167,10 @@ def _interval(
     return (low, high), ()
 
 
-def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry, str | None]:
-    """All polygons of a vector file as one shape, and the file's CRS. Coordinates in degrees are shifted by full turns
-    to lie near the `longitude` of a picture, also beyond 180. Raises InputError."""
+def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry, str | None, list[str]]:
+    """All polygons in the first layer of a vector file as one shape, the file's CRS, and notes on what was not read.
+    Coordinates in degrees are shifted by full turns to lie near the `longitude` of a picture, also beyond 180. Raises
+    InputError."""
     import pyogrio
 
     if not path.is_dir():  # some formats are folders
@@ -178,7 +180,8 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
         read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets sound files
     try:
         with readable(path) as place:
-            meta, _, shapes, _ = pyogrio.raw.read(place)
+            names = [str(name) for name, kind in pyogrio.list_layers(place) if kind is not None]
+            meta, _, shapes, _ = pyogrio.raw.read(place, layer=names[0] if names else None)
         flat = shapely.get_parts([shapely.force_2d(shapely.from_wkb(s)) for s in shapes if s is not None])
         if longitude is not None and meta["crs"] and pyproj.CRS.from_user_input(meta["crs"]).is_geographic:
             flat = [shapely.transform(p, lambda c: about_meridian(c, longitude)) if _degrees(p) else p for p in flat]
@@ -188,7 +191,8 @@ def _polygons(path: Path, longitude: float | None = None) -> tuple[BaseGeometry,
         raise InputError(f"{path}: not a vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
     if not sound:
         raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
-    return area, meta["crs"]
+    notes = [f"{path.name}: its layer {names[0]} is read, and not {first_few(names[1:])}"] if len(names) > 1 else []
+    return area, meta["crs"], notes
 
 
 def _areas(shapes: Any) -> np.ndarray:
@@ -203,15 +207,16 @@ def _degrees(shape: BaseGeometry) -> bool:
     return bool((np.abs(shapely.get_coordinates(shape)) <= [360, 90]).all())
 
 
-def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
+def read_area(
+    path: Path, ground: MetricOrthophoto, pixels: bool = False, least_inside: float = 0.0
+) -> tuple[BaseGeometry, tuple[str, ...]]:
     """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
 
     pixels : whether coordinates are columns and rows of the picture. Otherwise, if the picture has a place on Earth,
     coordinates of a file with its own CRS are transformed; for a picture in local metres they are taken as they are.
-    Raises InputError.
+    least_inside : share of the area below which the picture is another place's. Raises InputError.
     """
-    area, own = _polygons(path, ground.longitude)
-    notes: list[str] = []
+    area, own, notes = _polygons(path, ground.longitude)
     if pixels:
         area = shapely.transform(area, ground.to_metres)
     else:
@@ -232,7 +237,7 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
         raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
     picture = shapely.transform(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
     inside = shapely.multipolygons(_areas(area.intersection(picture)))
-    if inside.area < 1e-3 * area.area or not area.area > 0:
+    if not inside.area > least_inside * area.area:
         corners = ground.to_crs(shapely.get_coordinates(picture))
         ends = np.concatenate([corners.min(0), corners.max(0)])
         x0, y0, x1, y1 = np.round(ends, 8) + 0.0  # to a millimetre, also in degrees; of what is nearly 0 no -1e-28
@@ -242,5 +247,6 @@ def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tup
             "for columns and rows add --lot-pixels.",
         )
     if inside.area < 0.999 * area.area:
-        notes.append(f"{path.name}: {100 * (1 - inside.area / area.area):.0f} % lies outside of the picture, left out")
+        outside = min(round(100 * (1 - inside.area / area.area)), 99)
+        notes.append(f"{path.name}: {outside} % lies outside of the picture, left out")
     return inside, tuple(notes)

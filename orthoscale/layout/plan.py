@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ..errors import UsageError
+from ..errors import InputError, UsageError
 from ..version import __version__
 from .catalogue import Facility, Request, parse_requests
 from .ground import MetricOrthophoto, open_ground, read_area
 from .place import Missing, PlacedFacility, arrange, holds
+
+LOT_INSIDE = 0.01  # share of a lot in the picture: columns and rows that are taken for metres have a few thousandths
+LEAST_LOT_M2 = 1.0  # [m2] a smaller lot is in degrees
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,9 @@ def plan(
         raise UsageError(f"--clearance must be zero or more metres, not {clearance:g}")
     requests = parse_requests(wishes, catalogue)
     ground = open_ground(raster, scale_error)
-    area, notes = read_area(lot, ground, lot_pixels)
+    area, notes = read_area(lot, ground, lot_pixels, LOT_INSIDE)
+    if area.area < LEAST_LOT_M2:
+        raise InputError(f"{lot}: a lot of {area.area:.1g} m2", "If it is in degrees, save it in the orthophoto's CRS.")
     blocked = None
     if avoid is not None:
         blocked, more = read_area(avoid, ground, lot_pixels)

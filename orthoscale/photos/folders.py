@@ -38,7 +38,6 @@ def find_photos(paths: Sequence[Path]) -> FoundPhotos:
     for path in paths:
         if path.is_dir():
             inside = files_below(path, {*IMAGE_SUFFIXES, *OTHER_PHOTOS, *VIDEOS})
-            inside = [each for each in inside if not each.name.startswith(".")]  # ._ of macOS
             photos = [each for each in inside if each.suffix.lower() in IMAGE_SUFFIXES]
             unread = [str(each.relative_to(path)) for each in _only_there(inside, photos)]
             if not photos:

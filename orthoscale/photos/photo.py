@@ -117,11 +117,11 @@ def open_photo(
     """The photo at `path`. Given values (angles in degrees) take precedence over its tags, each angle by itself;
     without any, it is taken for nadir.
 
-    Raises InputError for a file that is no photo or has no focal length, UsageError for an impossible pitch or a roll
-    alone.
+    Raises InputError for a file that is no photo or has no focal length, UsageError for an impossible pitch or roll,
+    or a roll alone.
     """
-    if roll is not None and not np.isfinite(roll):
-        raise UsageError(f"--roll must be a number of degrees, not {roll}")
+    if roll is not None and not -360 <= roll <= 360:
+        raise UsageError(f"--roll must lie between -360 and 360 degrees, not {roll:g}")
     tags = read_tags(path)
     try:
         lens = lens_of(tags, lens_file, focal_px)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.angles import unit_vector
 from ..core.boxes import Boxes
+from ..core.evenly import evenly
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
 from .anchors import size_of
@@ -80,9 +81,9 @@ class ReportPictures:
         rejected = [v for v in vehicles if not v["used"]]
         return cls(
             overviews,
-            _chips(_evenly(sorted(used, key=lambda v: v["length"]), CHIPS), pictures),
-            _chips(_evenly(sorted(rejected, key=lambda v: v["reason"]), REJECTED_CHIPS), pictures),
-            anchor_panels(_evenly(anchors, ANCHOR_CROPS), pictures),
+            _chips(_some(sorted(used, key=lambda v: v["length"]), CHIPS), pictures),
+            _chips(_some(sorted(rejected, key=lambda v: v["reason"]), REJECTED_CHIPS), pictures),
+            anchor_panels(_some(anchors, ANCHOR_CROPS), pictures),
         )
 
 
@@ -168,10 +169,9 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     return Panel(title, image, outlines, scale_bar(1 / zoom, int(width)))
 
 
-def _evenly(things: Sequence[Mapping], count: int) -> list[Mapping]:
-    """`count` of them, evenly spaced from the first to the last."""
-    chosen = np.linspace(0, len(things) - 1, min(count, len(things))).round().astype(int)
-    return [things[k] for k in chosen]
+def _some(things: Sequence[Mapping], most: int) -> list[Mapping]:
+    """`most` of them, evenly spread."""
+    return [things[k] for k in evenly(len(things), most)]
 
 
 def _chips(vehicles: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:

@@ -17,10 +17,11 @@ OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.ht
 
 def copy_beside(source: Path, target: Path, own: Set[str]) -> list[str]:
     """Copy small files without lengths from the folder `source` into `target`; returns notes on what was copied and
-    what was not. own : names of the model's own files, which are neither, as are those that orthoscale writes."""
+    what was not. own : names of the model's own files, which are neither, as are those that orthoscale writes and
+    hidden ones."""
     copied, left, links = [], [], []
     for path in sorted(source.iterdir()):
-        if not path.is_file() or path.name in own | OURS:
+        if not path.is_file() or path.name in own | OURS or path.name.startswith("."):
             continue
         if path.is_symlink():  # its target is not part of the model
             links.append(path.name)

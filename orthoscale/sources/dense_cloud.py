@@ -138,7 +138,7 @@ def _depth_maps(workspace: Path) -> list[Path]:
     """The depth maps of a workspace: if there are any that other views confirmed (geometric), only these."""
     folder = workspace / "stereo" / "depth_maps"
     for kind in DEPTH_KINDS:
-        if maps := sorted(folder.rglob("*" + kind)):
+        if maps := sorted(folder.rglob("[!.]*" + kind)):
             return maps
     return []
 
@@ -200,7 +200,7 @@ def check_workspace(workspace: Path) -> list[Remark]:
     _check_depth_maps(workspace, sparse[0], model, images)
     remarks = _on_missing_maps(workspace, sorted(images))
     points, centres = sparse_points(model), np.array([image.projection_center() for image in images.values()])
-    for path in sorted(path for path in workspace.glob("*.ply") if path.is_file()):
+    for path in sorted(path for path in workspace.glob("[!.]*.ply") if path.is_file()):
         try:
             fit = cloud_fit(points, centres, points_in(path, MOST_DENSE_POINTS))
         except (InputError, OSError):  # what is wrong with it is said where it is written

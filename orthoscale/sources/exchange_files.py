@@ -23,7 +23,7 @@ def find_exchange(path: Path) -> Path | None:
         return path
     if not path.is_dir():
         return None
-    places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("*.nvm"))]
+    places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("[!.]*.nvm"))]
     found = next((place for place in places if place.is_file()), None)
     if found is not None:
         from .colmap_find import model_folders

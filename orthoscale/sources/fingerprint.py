@@ -18,7 +18,7 @@ from ..system.paths import absolute
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger files
 TIME_STEP_NS = 2_000_000_000  # [ns] of the coarsest file system, FAT: two machines' times of a file may differ by it
-MOVED = "Was it moved meanwhile?"  # of a file that cannot be read
+MOVED = "Check its permissions, and whether it was moved meanwhile."  # of a file that cannot be read
 
 
 class Stamp(NamedTuple):

@@ -92,7 +92,10 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
             return _claim_of_gcps(dataset)
         if dataset.rpcs:
             return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
-        return Claim(None, False, NO_GEOREFERENCE)
+        path = Path(dataset.name)
+        world = next((name for name in world_files(path) if is_there(path.with_name(name))), None)
+        unread = f": GDAL does not understand {world} beside it" if world else ""
+        return Claim(None, False, NO_GEOREFERENCE + unread)
     across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
     size = math.sqrt(abs(t.determinant))
     if size == 0 or not math.isfinite(across * down):

@@ -65,14 +65,17 @@ class PictureFile:
         """Whether it is decoded no finer than needed."""
         return self.width * self.height > LARGE_FRAME
 
+    @property
+    def _bytes(self) -> int:
+        return 3 * self.width * self.height
+
     @contextmanager
     def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
         """The whole picture, BGR and read-only, for as long as the block lasts, and the factor by which it is reduced:
         1, or up to 8 for a large picture if it is needed at a `shrink`-th of its size only. Raises as `read`."""
         factor = next((f for f in (8, 4, 2) if f <= shrink), 1) if self.large else 1
-        whole = 3 * self.width * self.height
-        size = whole // factor**2
-        needs = size if self.path.suffix.lower() in JPEG_SUFFIXES else whole
+        size = self._bytes // factor**2
+        needs = size if self.path.suffix.lower() in JPEG_SUFFIXES else self._bytes
         with memory.holding((self.stamp(), factor), size, lambda: self._decoded(factor), needs) as pixels:
             yield pixels, factor
 
@@ -96,11 +99,11 @@ class PictureFile:
 
     def _decoded(self, factor: int) -> np.ndarray:
         self.check_size()  # before memory is spent on it
-        if 3 * self.width * self.height > ALONE_SHARE * budget.memory():
+        if self._bytes > ALONE_SHARE * budget.memory():
             if factor == 1 and (pixels := _in_strips(self.path)) is not None:
                 return pixels
             whole = factor if _is_jpeg(self.path) else 1  # of other formats the whole is there twice
-            budget.require(budget.LEAST_BYTES + 6 * self.width * self.height / whole**2, f"{self.path}")
+            budget.require(budget.LEAST_BYTES + 2 * self._bytes / whole**2, f"{self.path}")
         pixels = _decode(self.path, factor)
         size = pixels.shape[1], pixels.shape[0]
         if max(abs(size[0] - self.width / factor), abs(size[1] - self.height / factor)) >= 1:

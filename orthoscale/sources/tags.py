@@ -30,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from ..errors import InputError, shown
 from ..formats.reading import check_regular
 
+BELOW_ZERO = (1, b"\1", 3, b"\3")  # GPSAltitudeRef: below the sea, below the ellipsoid (EXIF 3.0)
 SIDES_OF_EARTH = {"N": 1, "S": -1, "E": 1, "W": -1}
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
@@ -154,7 +155,7 @@ def read_tags(path: Path) -> Tags:
         taken=str(exif.get(0x9003, base.get(0x0132, ""))).strip("\0 "),
         lon_lat=_lon_lat(gps),
         relative_altitude=_number(xmp.get("RelativeAltitude", xmp.get("AboveGroundAltitude"))),
-        altitude=_number(gps.get(6)),
+        altitude=_altitude(gps),
         focal_mm=_positive(exif.get(0x920A)),
         focal_35mm=_positive(exif.get(0xA405)),
         plane_px_per_mm=resolution / unit if resolution else None,
@@ -272,6 +273,12 @@ def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
     if not (abs(lat) <= 90 and abs(lon) <= 180) or (lat, lon) == (0, 0):
         return None
     return lon, lat
+
+
+def _altitude(gps: Mapping[int, Any]) -> float | None:
+    """Altitude [m], negative below the sea or the ellipsoid, which EXIF says by a number of its own."""
+    told = _number(gps.get(6))
+    return -abs(told) if told is not None and gps.get(5) in BELOW_ZERO else told
 
 
 def _letter(value: Any) -> str:

@@ -26,6 +26,7 @@ from .paths import homes
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files as it wrote them
 CHANGED = "was changed since orthoscale wrote it"
 NOT_OURS = "was not written by orthoscale under this name"
+OF_SYSTEMS = (".DS_Store", "Thumbs.db", "desktop.ini")  # what macOS and Windows leave in folders that were looked at
 OF_ROWS = "type = 'table' AND name NOT LIKE 'rtree%' AND name NOT LIKE 'sqlite%'"  # of tables with rows of their own
 NOT_SUMMED = "0" * 8  # in place of the CRC-32 [hex] while a file is written
 PNG_TEXT = b"tEXtSoftware\0"  # type and keyword of the chunk that signs a PNG
@@ -89,10 +90,12 @@ def _why_not_our_folder(folder: Path) -> str:
 
 def _not_ours(folder: Path) -> Iterator[tuple[str, bool]]:
     """The files in `folder` that are not as orthoscale wrote them, by the lists of the folder and of the outputs in it:
-    the name of each, and whether orthoscale wrote it and it was changed since."""
+    the name of each, and whether orthoscale wrote it and it was changed since; without those OF_SYSTEMS."""
     listed = cache(_listed)
     for name in _files_in(folder):
         path = folder / name
+        if path.name in OF_SYSTEMS or path.name.startswith("._"):  # the latter too are macOS's
+            continue
         lists = [(home, listed(home)) for home in path.parents[: name.count("/") + 1]]
         own = [(path.relative_to(home).as_posix(), files) for home, files in lists if files is not None]
         if any(within == FOLDER_MARK or _is_as_written(path, files, within) for within, files in own) or ours(path):

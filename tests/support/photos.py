@@ -26,7 +26,7 @@ CARS = {
 
 def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
     """A grey JPEG with these tags: `xmp` attributes or elements of rdf:Description, `exif` {tag: value}, `gps`
-    longitude, latitude and perhaps altitude."""
+    longitude, latitude and perhaps altitude, with whether it lies below the sea."""
     image = Image.new("RGB", size, (120, 120, 120))
     tags = Image.Exif()
     for tag, value in dict(exif).items():
@@ -48,7 +48,9 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
 def add_gps(tags, lon, lat, *altitude):
     """Add a position to `tags`, a PIL.Image.Exif."""
     sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
-    tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon)), **dict(zip([6], altitude, strict=False))})
+    tags.get_ifd(0x8825).update(
+        {**sides, 2: dms(abs(lat)), 4: dms(abs(lon)), **dict(zip([6, 5], altitude, strict=False))}
+    )
 
 
 def dms(value):

@@ -151,16 +151,18 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     """`scale`, less certain and doubted if pixels are not as square as assumed; refused if they are far from it.
 
     A single scale then does not hold along both axes. Lengths along x and along y err by half of the log aspect, with
-    opposite signs; over all directions the rms error is the log aspect divided by the root of 8.
+    opposite signs; over all directions the rms error is the log aspect divided by the root of 8. The measurer's boxes
+    show only a part of a squeeze (`squeeze`).
     """
     if found is None or found.sigmas < SQUEEZED_SIGMAS or abs(found.log_aspect) < NOTABLE_SQUEEZE:
         return scale
-    sides = "longer and narrower" if found.log_aspect < 0 else "shorter and wider"
+    sides, more = ("longer and narrower", "less") if found.log_aspect < 0 else ("shorter and wider", "more")
     far = abs(found.log_aspect) > FAR_SQUEEZED
     remark = Remark(
         REFUSAL if far else CAUTION,
         f"vehicles along rows of pixels look {sides} than those along columns: pixels seem to be "
-        f"{np.exp(found.log_aspect):.2f} times as wide as high (+-{percent(found.sd)}, {found.sigmas:.1f} sigma), "
+        f"{np.exp(found.log_aspect):.2f} times as wide as high or {more} (+-{percent(found.sd)}, "
+        f"{found.sigmas:.1f} sigma), "
         "besides what the georeferencing says",
         "Warp the picture to square pixels, or give it the georeferencing that it had" if far else "",
     )

@@ -71,6 +71,8 @@ def _polygon(annotation: CocoAnnotation) -> np.ndarray:
     if annotation.bbox is None or len(annotation.bbox) != 5:
         raise ValueError("its bbox has no direction" if annotation.bbox else "it has no segmentation and no bbox")
     x, y, width, height, degrees = annotation.bbox
+    if not (width > 0 and height > 0):
+        raise ValueError("its bbox has no extent")
     return Boxes(np.array([[x, y, width, height, -np.radians(degrees)]]), np.ones(1)).corners[0]
 
 

@@ -29,7 +29,7 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     only_picture : the source has one picture only, so that a label file need not have its name.
     """
     if path.is_dir():
-        files = sorted(path.glob("*.txt"))
+        files = sorted(path.glob("[!.]*.txt"))
         if not files:
             raise InputError(f"{path}: a folder without .txt files", "Give DOTA's label files, one per picture.")
         return [item for file in files for item in read(file, only_picture=False)]

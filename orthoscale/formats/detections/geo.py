@@ -20,7 +20,7 @@ from ...core.boxes import KINDS, Boxes
 from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
 from ..degrees import WGS_84, about_meridian, near_on_map
-from ..names import json_in_utf8
+from ..names import first_few, json_in_utf8
 from ..plain_path import readable, writable
 from ..reading import EXPORT_ANEW, check_regular, checked, parsed, refuse_pipes_beside
 from ..vector import crs_member
@@ -133,7 +133,7 @@ def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mappin
 
 
 def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item], dict[str, Any] | None]:
-    """The boxes of the layer `vehicles`, or else of the first layer, and the note that `write_geopackage` added.
+    """The boxes of the layer `vehicles`, or else of the only layer, and the note that `write_geopackage` added.
 
     Raises InputError.
     """
@@ -144,13 +144,17 @@ def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item],
     refuse_pipes_beside([path])
     try:
         with readable(path) as file:
-            names = [str(name) for name in pyogrio.list_layers(file)[:, 0]]
-            layer = LAYER if LAYER in names else names[0]
+            names = [str(name) for name, kind in pyogrio.list_layers(file) if kind is not None]
+            layer = LAYER if LAYER in names or not names else names[0]
             info = pyogrio.read_info(file, layer=layer)
             meta, _, blobs, columns = pyogrio.raw.read(file, layer=layer)
         shapes = shapely.from_wkb(blobs)
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})", EXPORT_ANEW) from error
+    if layer != LAYER and len(names) > 1:
+        raise InputError(
+            f"{path}: several layers ({first_few(names)}), and none is called {LAYER}", "Save that of the boxes alone."
+        )
     told = (info.get("layer_metadata") or {}).get("orthoscale")
     note = parsed(told, str(path), "a GeoPackage that orthoscale wrote", "Save the detections again.") if told else None
     crs = meta["crs"]

@@ -18,6 +18,7 @@ from ...errors import InputError
 from ..reading import Table, read_table, refuse_repeated
 from .items import CLASS, PICTURE, SCORE_NAMES, Item, first
 
+FARTHEST_TURNED = 1000.0  # [rad] as in orthoscale's own JSON; of a larger number the angle is chance
 NUMBERS = ("cx", "cy", "length", "width")
 TABLE_HINT = "Columns: cx, cy, length, width, angle (rad) or angle_deg; where wanted score, picture, class."
 
@@ -49,7 +50,10 @@ def _row(row: Mapping[str, str], table: Table) -> tuple[list[float], float, str 
             raise InputError(f"{table.path}, line {table.line_num}: {name} is '', not a number", TABLE_HINT)
         return value
 
-    angle = number("angle") if "angle" in row else math.radians(number("angle_deg"))
+    box = [*map(number, NUMBERS), number("angle") if "angle" in row else math.radians(number("angle_deg"))]
+    if not (min(box[2:4]) > 0 and abs(box[4]) <= FARTHEST_TURNED):
+        what = "length and width must be positive, and the angle within 1000 rad"
+        raise InputError(f"{table.path}, line {table.line_num}: {what}", TABLE_HINT)
     score = next((name for name in SCORE_NAMES if name in row), "score")
     label, picture = first(row, CLASS), first(row, PICTURE)
-    return [*map(number, NUMBERS), angle], number(score, 1.0), label or None, picture or None
+    return box, number(score, 1.0), label or None, picture or None
