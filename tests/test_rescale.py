@@ -648,7 +648,7 @@ def test_what_apply_wrote_into_a_dense_workspace_is_not_scaled_again_with_it(tmp
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp_path):
+def test_what_is_not_copied_of_a_dense_workspace_is_said(tmp_path):
     """A copy without its frames or depth maps, which may lie on another disk, seemed to be whole."""
     source = dense_workspace(tmp_path / "dense")
     (source / "stereo").rename(tmp_path / "elsewhere")
@@ -656,9 +656,10 @@ def test_links_to_folders_and_pipes_of_a_dense_workspace_are_said_to_be_left(tmp
     (source / "gone.ply").symlink_to(tmp_path / "nowhere.ply")
     (source / "linked.ply").symlink_to(source / "fused.ply")
     os.mkfifo(source / "pipe.ply")
+    (source / ".settings").touch()
     (tmp_path / "out").mkdir()
     (said,) = [note for note in scale_path(source, tmp_path / "out", SCALE) if "links to folders" in note]
-    assert said.endswith(": gone.ply, pipe.ply, stereo") and "links to folders are not followed" in said
+    assert ": .settings, gone.ply, pipe.ply, stereo (hidden files, pipes, and links to folders or" in said
     assert (tmp_path / "out" / "linked.ply").is_file() and not (tmp_path / "out" / "stereo").exists()
 
 

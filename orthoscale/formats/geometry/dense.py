@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...system.paths import homes
 from ...system.signatures import written_in_metres
 from ..names import first_few
-from ..reading import HUGE, files_below, read_bytes
+from ..reading import HUGE, files_below, is_hidden, read_bytes
 from .lengthless import has_lengths
 from .ply import vertex_count
 
@@ -156,8 +156,8 @@ def scale_dense(
     if left:
         notes.append(f"left in {source}, because not in metres: {first_few(left, MOST_LEFT_NAMED)}")
     if passed := sorted(_passed_over(source)):
-        what = "because links to folders are not followed, nor links to nothing and pipes read"
-        notes.append(f"left in {source}, {what}: {first_few(passed, MOST_LEFT_NAMED)}")
+        what = "hidden files, pipes, and links to folders or to nothing are not copied"
+        notes.append(f"left in {source}: {first_few(passed, MOST_LEFT_NAMED)} ({what})")
     return notes
 
 
@@ -166,11 +166,12 @@ def _unreadable(error: OSError) -> None:
 
 
 def _passed_over(dense: Path) -> Iterator[str]:
-    """What `files_below` does not give of the workspace `dense`: links to folders or to nothing, pipes. Those among the
-    sparse models are left out."""
+    """What `files_below` does not give of the workspace `dense`: links to folders or to nothing, pipes, what is hidden.
+    Those among the sparse models are left out, and macOS's ``._`` files, one of which may lie beside every other."""
     for root, folders, names in os.walk(dense):
         for path in (Path(root, name) for name in (*folders, *names)):
             place = path.relative_to(dense)
             ordinary = path.is_file() or (path.is_dir() and not path.is_symlink())
-            if not ordinary and place.parts[0] != "sparse":
+            hidden = is_hidden(path.name) and not path.name.startswith("._")
+            if (hidden or not ordinary) and place.parts[0] != "sparse":
                 yield str(place)
