@@ -292,7 +292,7 @@ def test_numbers_of_numpy_are_numbers():
         (lambda: orthoscale.photo("no.jpg", focal_px="900"), "--focal-px takes a number, not '900'"),
         (lambda: orthoscale.photo("no.jpg", pitch="-90"), "--pitch takes a number"),
         (lambda: orthoscale.photo("no.jpg", roll=True), "--roll takes a number"),
-        (lambda: orthoscale.photo(TOWN, pitch=-60, roll=float("nan")), "--roll must be a number of degrees"),
+        (lambda: orthoscale.photo(TOWN, pitch=-60, roll=float("nan")), "--roll must lie between -360 and 360"),
         (lambda: orthoscale.calibrate("no.tif", gsd="0.1"), "--gsd takes a number"),
         (lambda: orthoscale.calibrate(TOWN, gsd=0.085, vehicle_classes="car"), "--vehicle-class takes a list"),
     ],

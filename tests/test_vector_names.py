@@ -86,6 +86,6 @@ def test_a_lot_is_read_under_its_name(odd, tmp_path, ending):
     for path in tmp_path.glob("lot.*"):
         path.rename(odd.with_name(odd.name + path.suffix))
     before = files(tmp_path)
-    area, crs = _polygons(odd.with_name(odd.name + ending))
+    area, crs, _ = _polygons(odd.with_name(odd.name + ending))
     assert area.equals(SQUARE) and crs
     assert files(tmp_path) == before
