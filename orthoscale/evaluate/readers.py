@@ -19,7 +19,7 @@ import numpy as np
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
 from ..formats.points import decimal_commas
-from ..formats.reading import Table, absent, files_below, read_table, read_text, refuse_repeated
+from ..formats.reading import Table, absent, files_below, is_hidden, read_table, read_text, refuse_repeated
 from ..photos.folders import IMAGE_SUFFIXES
 from ..photos.photo import GIMBAL_SD, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
@@ -122,7 +122,7 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
             own_lens = region / "camera.xml"
             if not own_lens.is_file():
                 raise InputError(f"{region}: no camera.xml", "Give --lens or --focal-px.")
-        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}")) if p.name[0] != "."]
+        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}")) if not is_hidden(p.name)]
         if not models:
             raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
         poses = _read_poses(region / "reference.txt")

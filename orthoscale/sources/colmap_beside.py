@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ..formats.geometry.lengthless import has_lengths
 from ..formats.geometry.sim3 import MATRIX
-from ..system.signatures import FOLDER_MARK
+from ..formats.reading import is_hidden
 from .cameras import SCALED_MARK
 
 LARGEST_COPY = 64 << 20  # [byte] largest file beside the model that is copied; a larger one is data, not settings
-OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
+OURS = {SCALED_MARK, MATRIX, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 def copy_beside(source: Path, target: Path, own: Set[str]) -> list[str]:
@@ -21,7 +21,7 @@ def copy_beside(source: Path, target: Path, own: Set[str]) -> list[str]:
     hidden ones."""
     copied, left, links = [], [], []
     for path in sorted(source.iterdir()):
-        if not path.is_file() or path.name in own | OURS or path.name.startswith("."):
+        if not path.is_file() or path.name in own | OURS or is_hidden(path.name):
             continue
         if path.is_symlink():  # its target is not part of the model
             links.append(path.name)
