@@ -48,13 +48,14 @@ def test_no_boxes_no_votes(repeated):
     assert len(gather(Sightings(np.empty((0, 2)), np.empty(0), np.empty((0, 3)), np.empty(0)), repeated)) == 0
 
 
-def test_a_single_view_is_a_mistake_where_many_frames_show_the_place():
-    which = np.repeat(np.arange(4), [1, 1, 1, 3])
+def test_what_is_missed_as_often_as_vehicles_are_found_is_a_mistake():
+    views, shown = zip(*((1, 1), (1, 4), (1, 5), (2, 9), (2, 10), (4, 15), (3, 25), (12, 12)), strict=True)
+    which = np.repeat(np.arange(len(views)), views)
     place = 10.0 * which[:, None] * np.array([1.0, 0, 0])
-    votes = gather(Sightings(np.full((6, 2), 2.0), np.ones(6), place, np.ones(6)), repeated=True)
-    assert not votes.fleeting.any(), "vehicles here are usually seen three times"
-    shown = np.array([1, 4, 5, 20])
-    assert replace(votes, shown=shown).fleeting.tolist() == [False, False, True, False]
+    votes = gather(Sightings(np.full((len(which), 2), 2.0), np.ones(len(which)), place, np.ones(len(which))), True)
+    assert votes.views.tolist() == list(views) and not votes.fleeting.any(), "how many frames show them is not known"
+    votes = replace(votes, shown=np.array(shown))
+    assert votes.fleeting.tolist() == [False, False, True, False, True, False, True, False]
 
 
 def test_views_of_one_vehicle_err_alike_in_part():
@@ -115,12 +116,3 @@ def test_views_count_by_what_is_known_of_each(told):
     assert alike.size[0] == pytest.approx([4.5, 2.2]), "with equal weights it is the median"
     sure = gather(Sightings(size, np.ones(3), np.zeros((3, 3)), np.ones(3), 0 * size, lasting=0 * lasting), True)
     assert sure.size[0] == pytest.approx([4.5, 2.2]), "boxes may say that they are exact"
-
-
-def test_how_often_vehicles_are_seen_is_that_of_most_boxes():
-    """However many mistakes there are that one frame shows."""
-    which = np.repeat(np.arange(6), [1, 1, 1, 1, 1, 8])
-    votes = gather(
-        Sightings(np.full((13, 2), 2.0), np.ones(13), 10.0 * which[:, None] * [1.0, 0, 0], np.ones(13)), repeated=True
-    )
-    assert votes.fleeting.tolist() == [True] * 5 + [False]

@@ -61,7 +61,7 @@ def reasons(
     used, fleeting : (N,) bool. measurable : (M,) indices of votes. log_size : (M, 2) of these. mean : (2,) of log_size
     over the votes that are used.
     """
-    out = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
+    out = ["seen in too few frames" if f else "smaller than the detector's margin" for f in fleeting]
     for index, (d_length, d_width) in zip(measurable, log_size - mean, strict=True):
         if used[index]:
             out[index] = ""

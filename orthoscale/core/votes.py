@@ -16,11 +16,11 @@ SAME_PLACE = 0.6
 # The centres of two vehicles cannot come closer than a width either. Groups of views that do are of one vehicle whose
 # boxes stray (it stands half in the shade or under a tree), unless a frame shows both.
 LEAST_APART = 1.0
-USUAL_VIEWS = 4  # number of views to be expected of a parked vehicle from which a single view counts as a mistake
 # Share of the frames showing a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
-# (detect/weights/README.md). A parked vehicle that five frames show is then found in only one of them in 0.6 % of the
-# cases, a moving one more often.
+# (detect/weights/README.md). Of five frames, a parked vehicle is then found in one only in 0.6 % of the cases, a moving
+# one more often.
 FOUND_IN = 0.8
+ENOUGH_FRAMES = 5  # frames that show a place, from which on a mistake can be told from a vehicle
 USUAL_NOISE = 0.05  # relative one sigma of a box that has no `sigma` of its own, besides `lasting`
 LEAST_NOISE = 1e-3  # least relative one sigma, for boxes that claim to have none
 
@@ -93,16 +93,12 @@ class Votes(ByValue):
 
     @property
     def fleeting(self) -> np.ndarray:
-        """(N,) bool: seen in one frame where it should be in many. Mistakes flicker, parked cars stay.
-
-        The number to be expected follows from how many frames show its place; if that is not known, from the views of
-        the other vehicles.
-        """
-        if self.shown is not None:
-            usual = FOUND_IN * self.shown
-        else:
-            usual = np.full(len(self), np.median(np.repeat(self.views, self.views)) if len(self) else 0.0)
-        return (self.views == 1) & (usual >= USUAL_VIEWS)
+        """(N,) bool: missed in as many of the frames that show its place as a parked vehicle is found in, or in more.
+        Mistakes flicker, parked cars stay. None are if it is not known how many frames show them."""
+        if self.shown is None:
+            return np.zeros(len(self), bool)
+        missed = self.shown - self.views
+        return (self.shown >= ENOUGH_FRAMES) & (missed >= FOUND_IN * self.shown)
 
 
 def _fill_in(of: Sightings | Votes) -> None:

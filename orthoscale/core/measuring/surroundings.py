@@ -63,8 +63,8 @@ def rows_in_model(
 ) -> list[AnchorVote]:
     """The pitch of parking rows on a reconstruction's ground, if there are any.
 
-    Each vehicle counts at one place, however often it was seen. Vehicles seen in one frame where they should be in
-    many are left out.
+    Each vehicle counts at one place, however often it was seen. Those that most frames of their place miss are left
+    out.
 
     votes : of vehicles, `place` (N, 3) in world coordinates, `size` without the margin. along : (M, 3) unit vectors of
     the long sides of all boxes, in world coordinates. country : as for `parking_pitch`. footing : the ground on which

@@ -147,8 +147,8 @@ def _answer(
 def _by_vehicles(
     source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
 ) -> Scale:
-    """The scale by all vehicles of both modes, each counted once. A vehicle found in one ground picture only, and in
-    none of many frames that show its place, is a false detection."""
+    """The scale by all vehicles of both modes, each counted once. A vehicle found in few ground pictures, and in none
+    of many frames that show its place, is a false detection."""
     first = next(iter(modes.values()))
     votes, ruler, covariance = united(*modes.values())
     in_frames = shown_in_frames(source, found, first.boxes, votes.place)
