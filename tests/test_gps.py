@@ -323,7 +323,7 @@ def test_a_model_that_looks_as_if_it_were_in_metres_is_said_to(tmp_path):
     options = {"detections": example / "detections.json", "fleet": "US", "report": "none"}
     done = orthoscale.fix(tmp_path / "enu", tmp_path / "out", **options)
     (said,) = [remark for remark in done.remarks if "seems to be in metres" in remark.text]
-    assert f"vehicles give {done.scale.value:.3f} m per unit" in said.text and said.severity == "info"
+    assert f"vehicles and parking bays give {done.scale.value:.3f} m per unit" in said.text and said.severity == "info"
     assert (tmp_path / "out" / "sim3.json").exists()
 
 

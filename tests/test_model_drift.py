@@ -36,7 +36,8 @@ def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12, bowl=0.0):
     size = true[vehicle] / wrong[frame, None] * np.exp(rng.normal(0, 0.03, (len(vehicle), 2)))
     votes = gather(Sightings(size, np.full(len(size), 0.004), place[vehicle], np.ones(len(size))), repeated=True)
     scale = pool(votes, load_fleet("DE"), Ruler(), "m/model-unit")
-    return model_drift(size, np.array([f"{k:02d}.jpg" for k in frame]), votes, scale, votes.place), scale
+    picture = np.array([f"{k:02d}.jpg" for k in frame])
+    return model_drift(size, np.ones(size.shape), picture, votes, scale, votes.place), scale
 
 
 def test_a_frame_that_disagrees_is_named():
@@ -58,12 +59,15 @@ def test_frames_that_agree_are_not(seed):
     assert all(abs(f.scale / scale.value - 1) < 0.05 for f in found.frames.values())
 
 
-def by_frames(log_size):
-    """What frames say of vehicles seen at `log_size` (vehicles, frames), NaN where a frame does not show one."""
+def by_frames(log_size, sd=0.06):
+    """What frames say of vehicles seen at `log_size` (vehicles, frames), NaN where a frame does not show one, with
+    errors of `sd` (frames, 2) in length and width."""
     vehicle, frame = np.nonzero(np.isfinite(log_size))
+    weights = 1 / np.broadcast_to(sd, (log_size.shape[1], 2))[frame] ** 2
+    each = np.repeat(log_size[vehicle, frame][:, None], 2, axis=1)
     votes = SimpleNamespace(members=[np.flatnonzero(vehicle == k) for k in range(len(log_size))])
     scale = SimpleNamespace(used=np.ones(len(log_size), bool), value=2.0)
-    return by_frame(log_size[vehicle, frame], np.array([f"{k:03d}" for k in frame]), votes, scale)
+    return by_frame(each, weights, np.array([f"{k:03d}" for k in frame]), votes, scale)
 
 
 def test_a_frame_is_held_against_the_middle_of_the_others():
@@ -89,6 +93,41 @@ def test_chance_names_no_frame_and_what_is_more_than_chance_is_named():
         sizes[rng.permutation(200)[:3], frame] = rng.normal(0, 0.06, 3) - 0.3 * (frame < 10)
     named = np.array([int(name) for name, _ in by_frames(sizes)[1]])
     assert (named < 10).sum() >= 9 and (named >= 10).sum() <= 2
+
+
+def test_flat_views_that_stray_as_flat_views_do_are_not_named():
+    """Three in four frames look steeply down and err by 2 %, the others by 10 %; one of the steep ones is wrong."""
+    rng = np.random.default_rng(3)
+    sd = np.where(np.arange(80)[:, None] % 4 == 0, 0.10, 0.02) * np.ones(2)
+    sizes = np.full((60, 80), np.nan)
+    for frame in range(80):
+        shown = rng.permutation(60)[:4]
+        sizes[shown, frame] = rng.normal(0, sd[frame, 0], 4) - 0.12 * (frame == 5)
+    frames, odd = by_frames(sizes, sd)
+    assert [name for name, _ in odd] == ["005"]
+    flat, steep = (
+        np.median([frames[f"{k:03d}"].sd for k in range(80) if (k % 4 == 0) == is_flat]) for is_flat in (1, 0)
+    )
+    assert flat > 3 * steep
+
+
+def test_a_frame_whose_boxes_contradict_each_other_is_not_named():
+    """As where it shows two half-hidden vehicles; one that sees all of them too large is."""
+    sizes = np.random.default_rng(4).normal(0, 0.03, (40, 10))
+    sizes[:, :2] = np.nan
+    sizes[:3, 0], sizes[3:6, 1] = [-0.45, -0.25, 0.15], [-0.26, -0.25, -0.22]
+    frames, odd = by_frames(sizes)
+    assert [name for name, _ in odd] == ["001"] and frames["000"].sd > 4 * frames["001"].sd
+
+
+def test_an_axis_that_is_unsure_hardly_counts():
+    """Widths of flat views are unsure of the height that boxes enclose."""
+    log_size = np.tile([[0.0, 0.0], [0.0, 0.0], [0.0, 0.4]], (5, 1))
+    weights = np.tile([[1.0, 1.0], [1.0, 1.0], [1.0, 0.04]], (5, 1))
+    picture = np.array(["a", "b", "c"] * 5)
+    votes = SimpleNamespace(members=[np.arange(3) + 3 * k for k in range(5)])
+    frames, _ = by_frame(log_size, weights, picture, votes, SimpleNamespace(used=np.ones(5, bool), value=1.0))
+    assert np.log(frames["c"].scale) == pytest.approx(-0.4 * 0.04 / 1.04)
 
 
 @pytest.mark.parametrize("vehicles", [3, 25])

@@ -441,7 +441,8 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
 def test_a_model_with_few_views_gets_its_page(tmp_path):
     found = json.loads((EXAMPLE / "detections.json").read_text())
     seen = sorted(found["pictures"], key=lambda name: -len(found["pictures"][name]))
-    found["pictures"] = {name: found["pictures"][name] for name in seen[:2]}  # nothing is seen from three places
+    for boxes in ("pictures", "doubtful"):  # nothing is seen from three places
+        found[boxes] = {name: found[boxes][name] for name in seen[:2]}
     (tmp_path / "few.json").write_text(json.dumps(found))
     text = fixed_model(tmp_path, detections=tmp_path / "few.json", mode="oblique", force=True).read_text()
     assert read_json(tmp_path / "scaled" / "report.json")["calibration"]["trends"] is None

@@ -130,7 +130,7 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
             out[k] = summary(values[members[k]], axis=0, **weights)
         return out
 
-    weight = None if seen.lasting is None else _weights(seen.sigma, seen.lasting)
+    weight = None if seen.lasting is None else view_weights(seen.sigma, seen.lasting)
     return Votes(
         size=np.exp(over(np.log(seen.size), np.median if weight is None else weighted_median, weight)),
         pixel=over(seen.pixel),
@@ -144,8 +144,9 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
     )
 
 
-def _weights(sigma: np.ndarray, lasting: np.ndarray) -> np.ndarray:
-    """(M, 2) weights of sightings in the median size of their vehicle: their inverse variances."""
+def view_weights(sigma: np.ndarray, lasting: np.ndarray) -> np.ndarray:
+    """(M, 2) weights of sightings beside others of their vehicle: their inverse variances. Arguments as in
+    `Sightings`."""
     return 1 / np.maximum(np.where(np.isfinite(sigma), sigma, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..normal import of_median, robust_sd
 from ..scale import Scale
-from ..votes import Votes
+from ..votes import LEAST_NOISE, Votes, weighted_median
 from .drift import Trend
 from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
@@ -89,13 +89,16 @@ class ModelDrift:
         return remarks
 
 
-def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> ModelDrift:
+def model_drift(
+    size: np.ndarray, weights: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray
+) -> ModelDrift:
     """The scale by frame and by region, and its trend.
 
-    size : (M, 2) of each box [units]. picture : (M,) name of its frame. votes : of N vehicles. Margins are taken off
-    both sizes. plan : (N, 2) positions of the votes on the ground's plane [units].
+    size : (M, 2) of each box [units]. weights : (M, 2) of these (`view_weights`). picture : (M,) name of its frame.
+    votes : of N vehicles. Margins are taken off both sizes. plan : (N, 2) positions of the votes on the ground's plane
+    [units].
     """
-    frames, odd = by_frame(np.log(np.maximum(size, 1e-12)).mean(1), picture, votes, scale)
+    frames, odd = by_frame(np.log(np.maximum(size, 1e-12)), weights, picture, votes, scale)
     used = scale.used
     log_scale = -np.log(votes.size[used]) @ np.asarray(scale.weights)
     relative, there = log_scale - np.median(log_scale), plan[used]
@@ -104,29 +107,37 @@ def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scal
 
 
 def by_frame(
-    log_size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale
+    log_size: np.ndarray, weights: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale
 ) -> tuple[dict[str, FrameScale], list[tuple[str, float]]]:
     """Metres per unit by each frame that shares vehicles with others; and the odd frames, worst first, each with its
     relative deviation.
 
-    A box's deviation is the log ratio of the median size in the same vehicle's other views to its own size.
+    log_size, weights : (M, 2) of each box, as in `model_drift`. A box's deviation is the log ratio of the median size
+    in the same vehicle's other views to its own size, the weighted mean over length and width. How uncertain it is
+    beside others follows from the weights, for flat views err more than steep ones; how uncertain they all are, from
+    how they scatter. None is taken for surer than the usual one: half-hidden vehicles stray without knowing it. A frame
+    whose boxes contradict each other says less (Birge 1932).
     """
-    stray = np.full(len(log_size), np.nan)
+    each = np.full(log_size.shape, np.nan)
     for members, counts in zip(votes.members, scale.used, strict=True):
         if counts and len(members) >= 3:
             for m in members:
-                stray[m] = np.median(log_size[members[members != m]]) - log_size[m]
+                each[m] = np.median(log_size[members[members != m]], axis=0) - log_size[m]
+    stray, own = np.average(each, axis=1, weights=weights), 1 / np.sqrt(weights.sum(1))
     known = np.isfinite(stray)
     if not known.any():
         return {}, []
-    spread = float(robust_sd(stray[known]))
+    usual = max(float(robust_sd(stray[known])), LEAST_NOISE)
+    sure = 1 / np.maximum(own * robust_sd((stray / own)[known]), usual) ** 2
     frames, odd = {}, []
     for name in np.unique(picture[known]):
-        mine = stray[known & (picture == name)]
-        if len(mine) < MIN_SHARED:
+        mine = known & (picture == name)
+        if (count := int(mine.sum())) < MIN_SHARED:
             continue
-        middle, sd = float(np.median(mine)), spread * np.sqrt(of_median(len(mine)))
-        frames[str(name)] = FrameScale(float(scale.value * np.exp(middle)), float(scale.value * sd), len(mine))
+        middle = float(weighted_median(stray[mine, None], 0, sure[mine, None])[0])
+        birge = np.sqrt(sure[mine] @ (stray[mine] - middle) ** 2 / (count - 1))
+        sd = float(np.sqrt(of_median(count) / sure[mine].mean()) * max(birge, 1.0))
+        frames[str(name)] = FrameScale(float(scale.value * np.exp(middle)), float(scale.value * sd), count)
         if abs(middle) > max(ODD_STRAY, ODD_SIGMAS * sd):
             odd.append((str(name), float(np.expm1(middle))))
     return frames, sorted(odd, key=lambda item: -abs(item[1]))

@@ -26,7 +26,7 @@ from ..projection.self_calibration import self_calibrated, trends
 from ..projection.view import LOWEST_ELEVATION, Views
 from ..scale import Scale
 from ..source import PosedSet
-from ..votes import Votes
+from ..votes import Votes, view_weights
 from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
@@ -172,10 +172,10 @@ class FramesGeometry:
         changes = trends(
             shipped[ok], bare[ok], np.degrees(self.views.elevation[ok]), self.pixel[ok], vehicles.counted(scale.used)
         )
-        plan = self.source.ground.plane(vehicles.place)
+        plan, weights = self.source.ground.plane(vehicles.place), view_weights(self.boxes.sigma, seen.lasting)
         return Findings(
             SelfCalibration(self.ruler, self.card, changes),
-            model_drift(bare[ok], self.picture[ok], vehicles, scale, plan),
+            model_drift(bare[ok], weights[ok], self.picture[ok], vehicles, scale, plan),
         )
 
 
