@@ -21,6 +21,7 @@ from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, _read_po
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.degrees import to_degrees
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.looking import save_boxes
 from orthoscale.photos.measure import measure
@@ -114,6 +115,44 @@ def test_ground_on_the_180th_meridian(tmp_path, lon, crs, unit):
         out.write(heights, 1)
     with Surface.open(tmp_path / "dsm.tif") as surface:
         assert surface.ground(lon, 0.0) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    "crs, told, height",
+    [
+        ("EPSG:2263", {}, 1000.0),
+        ("EPSG:2263", {"units": ("ft",)}, 304.8),
+        ("EPSG:2263", {"units": ("US survey foot",)}, 1_200_000 / 3937),
+        ("EPSG:2263", {"units": ("[Meters]",)}, 1000.0),
+        ("EPSG:2263+8228", {}, 304.8),  # the vertical axis in feet, those of the map in US survey feet
+        ("EPSG:2263+5703", {}, 1000.0),  # the vertical axis in metres
+        ("EPSG:2263+6360", {"units": ("m",)}, 1000.0),
+        ("EPSG:2263", {"scales": (0.1,), "offsets": (5.0,), "units": ("ft",)}, 32.004),
+    ],
+)
+def test_ground_in_the_unit_that_the_model_tells(tmp_path, crs, told, height):
+    """Heights in feet were taken for metres, and those with a scale and an offset for what is stored of them. The map
+    is in feet: of two places one is 76 m away from a pit, the other 107 m."""
+    stored = np.full((600, 600), 1000.0, np.float32)
+    stored[:, :120] = 0.0
+    grid = Affine(2, 0, 980_000, 0, -2, 200_000)
+    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 600, 600, 1, crs, grid, "float32") as out:
+        out.write(stored, 1)
+        for name, value in told.items():
+            setattr(out, name, value)
+    lon, lat = to_degrees("EPSG:2263").transform([980_240 + 350, 980_240 + 250], [199_400, 199_400])
+    with Surface.open(tmp_path / "dsm.tif") as surface:
+        assert surface.ground(lon[0], lat[0]) == pytest.approx(height, rel=1e-7)
+        assert surface.ground(lon[1], lat[1]) < height / 2
+
+
+def test_a_model_in_an_unknown_unit_is_refused(tmp_path):
+    with rasterio.open(
+        tmp_path / "dsm.tif", "w", "GTiff", 9, 9, 1, "EPSG:32632", Affine(1, 0, 5e5, 0, -1, 5e6), "float32"
+    ) as out:
+        out.units = ("cubit",)
+    with pytest.raises(InputError, match="dsm.tif: its heights are in 'cubit'"):
+        Surface.open(tmp_path / "dsm.tif")
 
 
 def test_a_table_with_pitch_and_focal_length(folders):
