@@ -22,8 +22,9 @@ from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.degrees import to_degrees
+from orthoscale.formats.detections import save
 from orthoscale.formats.detections.own import load_detections
-from orthoscale.photos.looking import save_boxes
+from orthoscale.photos.looking import Album
 from orthoscale.photos.measure import measure
 from orthoscale.photos.photo import RIGHT
 from orthoscale.sources.lens import Lens, brown
@@ -268,7 +269,7 @@ def test_boxes_as_the_papers_authors_keep_them(folders, tmp_path):
     """DOTA's result text; nothing is known of such boxes' margin, and the interval says so."""
     samples, found, _ = measured(folders, "dense")
     path = tmp_path / "Task1_small-vehicle.txt"
-    save_boxes(found, path, [s.photo for s in samples])
+    save(found, path, Album([s.photo for s in samples]))
     done = run(folders / "dense", "--detections", path, "--fleet", folders / "fleet.json", "--json")
     assert done.returncode == 0, done.stderr
     (line,) = json.loads(done.stdout)["regions"]["exact"]
@@ -359,6 +360,8 @@ def test_bad_input_ends_in_one_sentence(folders, tmp_path, path, code, word):
     few = tmp_path / "few.json"
     few.write_text(json.dumps({name: found[:3] for name, found in boxes["pictures"].items()}))
     target = folders / "dense" if path == "few" else tmp_path / path
-    done = run(target, "--detections", few, "--fleet", "DE")
+    saved = tmp_path / "saved.json"
+    done = run(target, "--detections", few, "--fleet", "DE", "--save-detections", saved)
     assert done.returncode == code, done.stderr
     assert word in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
+    assert saved.exists() == (f"the boxes are saved in {saved}" in done.stderr) == (path == "few")
