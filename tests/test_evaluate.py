@@ -309,6 +309,10 @@ def test_poses_with_decimal_commas_are_the_same(folders, tmp_path, change):
     assert _read_poses(tmp_path / "reference.txt") == _read_poses(path)
 
 
+def append(path, line):
+    path.write_text(f"{path.read_text().rstrip()}\n{line}\n")
+
+
 def break_csv(text):
     return lambda folder: (folder / "photos.csv").write_text(text)
 
@@ -334,7 +338,18 @@ def break_csv(text):
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a.jpg 5e5 5e6 90 0 0 0\n"), "longitude"),
         ("visloc", lambda f: (f / "02" / "region02_dsm.tif").write_text("no raster"), "dsm.tif"),
-        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "surface model"),
+        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "no surface model"),
+        (
+            "visloc",
+            lambda f: shutil.copy(f / "02" / "region02_dsm.tif", f / "02" / "b_DSM.TIFF"),
+            "b_DSM.TIFF, region02",
+        ),
+        ("visloc", lambda f: append(f / "02" / "reference.txt", "02_0001.JPG 9 48 200 0 0 0"), "another pose already"),
+        (
+            "table",
+            break_csv("image,altitude_m,focal_px\n" + 2 * "photos/000.jpg,50,900\n"),
+            "line 3: photos/000.jpg is in",
+        ),
         ("dense", lambda f: [p.rename(p.with_name("x.jpg")) for p in f.rglob("H80.JPG")], ""),
     ],
 )
