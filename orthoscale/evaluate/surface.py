@@ -18,7 +18,7 @@ from ..sources.gdal import open_dataset, reading
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, from the lowest, whose mean is the ground: roofs and crowns lie above
 # [m] units of heights, by the letters of their names in GDAL, PROJ and Esri's programs.
-UNITS = {
+HEIGHT_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("ft", "foot", "feet", "footintl", "internationalfoot", "internationalfeet"), 0.3048),
     **dict.fromkeys(("usft", "ftus", "footus", "ussurveyfoot", "ussurveyfeet"), 1200 / 3937),
@@ -89,7 +89,7 @@ class Surface:
 def _unit(dataset: Any, crs: pyproj.CRS) -> float:
     """The unit of the heights [m]: the band's own, else that of the vertical axis, else metres. Raises InputError."""
     if name := dataset.units[0]:
-        unit = UNITS.get(re.sub("[^a-z]", "", name.lower()))
+        unit = HEIGHT_UNITS.get(re.sub("[^a-z]", "", name.lower()))
         if unit is None:
             raise InputError(
                 f"{dataset.name}: its heights are in {shown(name)!r}, which is no known unit",
