@@ -57,6 +57,8 @@ def load_fleet(name: str | Path) -> Fleet:
     country, _, wanted = str(name).rpartition(":")
     if len(country) < 2:  # no class, or the drive of a path
         return _of_country(str(name))
+    if ":" in country and Path(country).suffix.lower() != ".json":
+        raise UsageError(f"fleet {str(name)!r} names more than one class", "Name one: COUNTRY:CLASS, such as DE:mini.")
     return _mostly(load_fleet(country), wanted.strip())
 
 

@@ -25,6 +25,8 @@ from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.classes import is_vehicle, vehicle_numbers
 from orthoscale.formats.tables import standards
+from orthoscale.photos.depth.network import DepthNetwork
+from orthoscale.photos.depth.rules import RULES
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper
@@ -234,7 +236,8 @@ def test_other_networks_are_refused_in_words(tmp_path, outputs, metadata, messag
         Detector(path)
 
 
-def test_operators_of_others_and_their_library(tmp_path, monkeypatch):
+@pytest.mark.parametrize("load", [Detector, lambda path: DepthNetwork(path, RULES["da3"])], ids=["boxes", "depth"])
+def test_operators_of_others_and_their_library(tmp_path, monkeypatch, load):
     node = helper.make_node("NMSRotated", ["images"], ["dets"], domain="mmdeploy")
     graph = helper.make_graph(
         [node],
@@ -245,10 +248,10 @@ def test_operators_of_others_and_their_library(tmp_path, monkeypatch):
     opsets = [helper.make_opsetid("", 17), helper.make_opsetid("mmdeploy", 1)]
     onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), tmp_path / "rotated.onnx")
     with pytest.raises(InputError, match="set ORTHOSCALE_ONNX_OPS to the path of its libmmdeploy_onnxruntime_ops"):
-        Detector(tmp_path / "rotated.onnx")
+        load(tmp_path / "rotated.onnx")
     monkeypatch.setenv("ORTHOSCALE_ONNX_OPS", str(tmp_path / "missing.so"))
     with pytest.raises(InputError, match="no library of operators"):
-        Detector(tmp_path / "rotated.onnx")
+        load(tmp_path / "rotated.onnx")
 
 
 @pytest.mark.parametrize(

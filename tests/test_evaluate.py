@@ -21,8 +21,10 @@ from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, _read_po
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.degrees import to_degrees
+from orthoscale.formats.detections import save
 from orthoscale.formats.detections.own import load_detections
-from orthoscale.photos.looking import save_boxes
+from orthoscale.photos.looking import Album
 from orthoscale.photos.measure import measure
 from orthoscale.photos.photo import RIGHT
 from orthoscale.sources.lens import Lens, brown
@@ -114,6 +116,44 @@ def test_ground_on_the_180th_meridian(tmp_path, lon, crs, unit):
         out.write(heights, 1)
     with Surface.open(tmp_path / "dsm.tif") as surface:
         assert surface.ground(lon, 0.0) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    "crs, told, height",
+    [
+        ("EPSG:2263", {}, 1000.0),
+        ("EPSG:2263", {"units": ("ft",)}, 304.8),
+        ("EPSG:2263", {"units": ("US survey foot",)}, 1_200_000 / 3937),
+        ("EPSG:2263", {"units": ("[Meters]",)}, 1000.0),
+        ("EPSG:2263+8228", {}, 304.8),  # the vertical axis in feet, those of the map in US survey feet
+        ("EPSG:2263+5703", {}, 1000.0),  # the vertical axis in metres
+        ("EPSG:2263+6360", {"units": ("m",)}, 1000.0),
+        ("EPSG:2263", {"scales": (0.1,), "offsets": (5.0,), "units": ("ft",)}, 32.004),
+    ],
+)
+def test_ground_in_the_unit_that_the_model_tells(tmp_path, crs, told, height):
+    """Heights in feet were taken for metres, and those with a scale and an offset for what is stored of them. The map
+    is in feet: of two places one is 76 m away from a pit, the other 107 m."""
+    stored = np.full((600, 600), 1000.0, np.float32)
+    stored[:, :120] = 0.0
+    grid = Affine(2, 0, 980_000, 0, -2, 200_000)
+    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 600, 600, 1, crs, grid, "float32") as out:
+        out.write(stored, 1)
+        for name, value in told.items():
+            setattr(out, name, value)
+    lon, lat = to_degrees("EPSG:2263").transform([980_240 + 350, 980_240 + 250], [199_400, 199_400])
+    with Surface.open(tmp_path / "dsm.tif") as surface:
+        assert surface.ground(lon[0], lat[0]) == pytest.approx(height, rel=1e-7)
+        assert surface.ground(lon[1], lat[1]) < height / 2
+
+
+def test_a_model_in_an_unknown_unit_is_refused(tmp_path):
+    with rasterio.open(
+        tmp_path / "dsm.tif", "w", "GTiff", 9, 9, 1, "EPSG:32632", Affine(1, 0, 5e5, 0, -1, 5e6), "float32"
+    ) as out:
+        out.units = ("cubit",)
+    with pytest.raises(InputError, match="dsm.tif: its heights are in 'cubit'"):
+        Surface.open(tmp_path / "dsm.tif")
 
 
 def test_a_table_with_pitch_and_focal_length(folders):
@@ -229,7 +269,7 @@ def test_boxes_as_the_papers_authors_keep_them(folders, tmp_path):
     """DOTA's result text; nothing is known of such boxes' margin, and the interval says so."""
     samples, found, _ = measured(folders, "dense")
     path = tmp_path / "Task1_small-vehicle.txt"
-    save_boxes(found, path, [s.photo for s in samples])
+    save(found, path, Album([s.photo for s in samples]))
     done = run(folders / "dense", "--detections", path, "--fleet", folders / "fleet.json", "--json")
     assert done.returncode == 0, done.stderr
     (line,) = json.loads(done.stdout)["regions"]["exact"]
@@ -269,6 +309,10 @@ def test_poses_with_decimal_commas_are_the_same(folders, tmp_path, change):
     assert _read_poses(tmp_path / "reference.txt") == _read_poses(path)
 
 
+def append(path, line):
+    path.write_text(f"{path.read_text().rstrip()}\n{line}\n")
+
+
 def break_csv(text):
     return lambda folder: (folder / "photos.csv").write_text(text)
 
@@ -294,7 +338,18 @@ def break_csv(text):
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a.jpg 5e5 5e6 90 0 0 0\n"), "longitude"),
         ("visloc", lambda f: (f / "02" / "region02_dsm.tif").write_text("no raster"), "dsm.tif"),
-        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "surface model"),
+        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "no surface model"),
+        (
+            "visloc",
+            lambda f: shutil.copy(f / "02" / "region02_dsm.tif", f / "02" / "b_DSM.TIFF"),
+            "b_DSM.TIFF, region02",
+        ),
+        ("visloc", lambda f: append(f / "02" / "reference.txt", "02_0001.JPG 9 48 200 0 0 0"), "another pose already"),
+        (
+            "table",
+            break_csv("image,altitude_m,focal_px\n" + 2 * "photos/000.jpg,50,900\n"),
+            "line 3: photos/000.jpg is in",
+        ),
         ("dense", lambda f: [p.rename(p.with_name("x.jpg")) for p in f.rglob("H80.JPG")], ""),
     ],
 )
@@ -320,6 +375,8 @@ def test_bad_input_ends_in_one_sentence(folders, tmp_path, path, code, word):
     few = tmp_path / "few.json"
     few.write_text(json.dumps({name: found[:3] for name, found in boxes["pictures"].items()}))
     target = folders / "dense" if path == "few" else tmp_path / path
-    done = run(target, "--detections", few, "--fleet", "DE")
+    saved = tmp_path / "saved.json"
+    done = run(target, "--detections", few, "--fleet", "DE", "--save-detections", saved)
     assert done.returncode == code, done.stderr
     assert word in done.stderr and "Traceback" not in done.stderr and done.stdout == ""
+    assert saved.exists() == (f"the boxes are saved in {saved}" in done.stderr) == (path == "few")

@@ -228,7 +228,9 @@ def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path
     mini, compact = load_fleet(path).classes
     assert (mini.name, compact.name) == ("mini", "compact") and mini.weight == pytest.approx(0.3)
     assert 0.3 * mini.mean + 0.7 * compact.mean == pytest.approx([4.2, 1.75, 1.5])
-    assert load_fleet(f"{path}:mini").classes[0].weight == pytest.approx(0.7)
+    for name in ("campus.json", "campus: mine.json"):
+        path = path.rename(tmp_path / name)
+        assert load_fleet(f"{path}:mini").classes[0].weight == pytest.approx(0.7)
     entry["shares"]["rickshaw"] = 5
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="rickshaw"):
@@ -289,7 +291,8 @@ def test_a_place_where_most_are_of_one_class():
 @pytest.mark.parametrize(
     ("text", "says"),
     [("DE:tram", "mini, small, compact"), ("DE:", "mini, small, compact"), ("world:mini", "Name a country"),
-     ("US_pickup:pickup", "Name a country"), ("Germny:mini", "Germany"), ("C:/register.csv", "--registrations")],
+     ("US_pickup:pickup", "Name a country"), ("Germny:mini", "Germany"), ("C:/register.csv", "--registrations"),
+     ("DE:mini:van", "COUNTRY:CLASS"), ("DE::mini", "COUNTRY:CLASS"), ("a.json:mini:van", "COUNTRY:CLASS")],
 )  # fmt: skip
 def test_a_class_that_a_fleet_does_not_have_is_refused_with_those_that_it_has(text, says):
     with pytest.raises(UsageError) as caught:

@@ -18,13 +18,14 @@ import orthoscale
 from orthoscale.core.claims import metric_claim, perhaps_metric
 from orthoscale.core.control import LEVEL_SD
 from orthoscale.core.evidence import Evidence
-from orthoscale.core.gps import FEWEST_POSITIONS, bend, by_positions
+from orthoscale.core.gps import FEWEST_POSITIONS, bend, by_positions, mirrored
 from orthoscale.core.normal import Z90
 from orthoscale.core.pooling.combining import combined
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.sources import positions
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 
@@ -208,6 +209,28 @@ def test_without_altitudes_a_bend_is_a_part_of_the_uncertainty(tmp_path):
     source.__dict__["bend_sd"] = 0.2
     assert not source.gps.evidence
     assert "they give the scale at its cameras, and how far it is bent is left open" in source.gps.notes[0]
+
+
+def test_altitudes_that_fall_where_the_cameras_rise_are_noticed():
+    """Over a pit below the sea, from a program that lost the sign: 10 m of relief bent the model by 10 %."""
+    path = lawnmower(40, 300)
+    pit = 10 * ((path - path.mean(0)) ** 2).sum(1) / 150**2
+    errors = np.random.default_rng(0).normal(0, 0.5, (2, 40))
+    heights = 80 + pit + errors[0] + 0.1 * path[:, 0]
+    assert mirrored(path, heights, 400 - pit + errors[1])
+    for level in (pit, 0 * pit):
+        assert not mirrored(path, heights, 400 + level + errors[1])
+
+
+def test_mirrored_altitudes_do_not_count(tmp_path, monkeypatch):
+    monkeypatch.setattr(positions, "mirrored", lambda *flight: True)
+    tagged(tmp_path, 25.0, bowl=2e-4)
+    for bend_sd, notes in ((0.06, 1), (0.2, 2), (0.0, 0)):
+        source = open_source(tmp_path)
+        source.__dict__["bend_sd"] = bend_sd
+        assert len(source.gps.notes) == notes and source.gps.notes[:1] == (positions.UPSIDE_DOWN,) * (notes > 0)
+        for found in source.gps.evidence:
+            assert found.value == pytest.approx(26.5, rel=0.01) and found.relative_sd >= bend_sd
 
 
 def test_altitudes_say_as_much_of_a_bend_as_they_are_exact():

@@ -743,6 +743,7 @@ def test_boxes_are_saved_though_they_are_too_few(tmp_path, flight):
     assert done.returncode == 3 and {name: len(b) for name, b in load_detections(saved).boxes.items() if len(b)} == {
         "a.jpg": 3
     }
+    assert f"; the boxes are saved in {saved}" in done.stderr
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):

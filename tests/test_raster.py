@@ -32,6 +32,7 @@ from rasterio.rpc import RPC
 from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 
+from orthoscale.core.remarks import CAUTION, Remark
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import gdal
@@ -641,7 +642,32 @@ def test_a_world_file_that_gdal_leaves_aside_is_told(tmp_path, world):
     """As an editor saves it, with a byte order mark; or as one line."""
     path = converted(tmp_path / "a.jpg", "JPEG")
     (tmp_path / "a.jgw").write_text(world)
-    assert RasterSource.open(path).claimed.why == "not georeferenced: GDAL does not understand a.jgw beside it"
+    source = RasterSource.open(path)
+    assert source.claimed.why == "not georeferenced: GDAL does not understand a.jgw beside it"
+    assert Remark(CAUTION, source.claimed.why) in source.notes
+
+
+PAM = "<PAMDataset><SRS>EPSG:32632</SRS><GeoTransform>5e5, .1, 0, 5.4e6, 0, -.1</GeoTransform></PAMDataset>"
+
+
+@pytest.mark.parametrize("content", [PAM[:-9], "", "\0", '<?xml version="1.0" encoding="x"?><PAMDataset/>'])
+def test_a_damaged_sidecar_is_told(tmp_path, content):
+    path = converted(tmp_path / "a.jpg", "JPEG")
+    (tmp_path / "a.jpg.aux.xml").write_text(content)
+    why = "not georeferenced: GDAL does not understand a.jpg.aux.xml"
+    assert RasterSource.open(path).claimed.why == f"{why} beside it"
+    (tmp_path / "a.jgw").write_text("0.1 0 0 -0.1 5e5 5e6\n")
+    assert RasterSource.open(path).claimed.why == f"{why} and a.jgw beside it"
+    (tmp_path / "a.jgw").write_text("0.1\n0\n0\n-0.1\n500000\n5400000\n")  # QGIS writes the system into the sidecar
+    source = RasterSource.open(path)
+    assert ", and GDAL does not understand a.jpg.aux.xml beside it; pixels" in source.claimed.why
+    assert Remark(CAUTION, source.claimed.why) in source.notes
+
+
+def test_a_sidecar_of_statistics_is_not_told(tmp_path):
+    (tmp_path / "a.tif.aux.xml").write_text("<PAMDataset><Metadata/></PAMDataset>")
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    assert source.claimed.why == "not georeferenced" and not source.notes
 
 
 def test_world_file_alone(tmp_path):
@@ -725,7 +751,8 @@ def test_a_prj_that_is_damaged_is_said(tmp_path, content):
     (tmp_path / "a.prj").write_bytes(content)
     with RasterSource.open(tmp_path / "a.tif") as source:
         claim = source.claimed
-    assert not claim.usable and not claim.unit_known and "a.prj beside it is not understood" in claim.why
+    assert not claim.usable and not claim.unit_known and "GDAL does not understand a.prj beside it" in claim.why
+    assert Remark(CAUTION, claim.why) in source.notes
 
 
 def test_a_prj_is_looked_for_once(tmp_path, monkeypatch):
@@ -787,7 +814,7 @@ def test_control_points_give_a_scale(tmp_path, west, epsg):
         ("a.tfw", "0.5\n0\n0\n-0.5\n500000\n5400000\n", "as GDAL and QGIS do, but a.tfw says 0.5002 m/px"),
         (
             "a.tif.aux.xml",
-            "<PAMDataset><SRS>EPSG:32632</SRS><GeoTransform>5e5, .3, 0, 5.4e6, 0, -.3</GeoTransform></PAMDataset>",
+            PAM.replace(".1", ".3"),
             "0.3001 m/px is taken for its claim, as GDAL and QGIS do, but a.tif itself says 0.1 m/px",
         ),
     ],

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..core.detections import Detections
-from ..core.source import Source
+from ..core.source import Pictures
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.detections import check_pictures, output_of, save
 from ..system.outputs import Outputs
@@ -27,14 +27,14 @@ class KeptBoxes:
         self.partial = output_of(outputs, path)
         self._outputs = outputs
         self._found: Detections | None = None
-        self._source: Source | None = None
+        self._source: Pictures | None = None
 
-    def check(self, source: Source) -> None:
+    def check(self, source: Pictures) -> None:
         """Raise UsageError if the file cannot hold boxes of `source`: before these are searched for."""
         if self.path is not None:
             check_pictures(self.path, source)
 
-    def take(self, found: Detections, source: Source) -> None:
+    def take(self, found: Detections, source: Pictures) -> None:
         """Remember the boxes `found` in `source`, instead of earlier ones."""
         self._found, self._source = found, source
 
@@ -44,6 +44,13 @@ class KeptBoxes:
             self._outputs.protect(*self._source.files)
             save(self._found, self.partial, self._source)
 
+    def keep(self, found: Detections, source: Pictures) -> None:
+        """Save the boxes `found` in `source` at once, whatever follows. Raises UsageError, OSError."""
+        self.take(found, source)
+        if self.partial is not None:
+            self.save()
+            self._outputs.deliver(self.partial)
+
     @contextmanager
     def also_without_scale(self) -> Iterator[None]:
         """If the block raises TooLittleEvidence or EvidenceDisagrees, the remembered boxes are saved at once, and the
@@ -52,9 +59,8 @@ class KeptBoxes:
             try:
                 yield
             except NO_SCALE:
-                if self.partial is not None and self._found is not None and self._found.any_boxes:
-                    self.save()
-                    self._outputs.deliver(self.partial)
+                if self._found is not None and self._source is not None and self._found.any_boxes:
+                    self.keep(self._found, self._source)
                 raise
 
     @contextmanager

@@ -93,7 +93,8 @@ def crop(
         sky = cropping.Satellite.open(satellite)
         outputs.protect(*sky.source.files)
         shown = footprint_of(path, gsd, how, progress, **lens)
-        crops = cropping.plan_crops(sky, shown.gsd, shown.size, place, radius, square, stride, size)
+        whole = shown.picture.width, shown.picture.height
+        crops = cropping.plan_crops(sky, shown.gsd, whole, place, radius, square, stride, size)
         cropping.write_crops(crops, shown.picture, shown.told, folder, progress)
     text = cropping.document(crops, shown.told)
     if as_json:

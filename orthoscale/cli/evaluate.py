@@ -108,24 +108,26 @@ def evaluate(
     computes. With --locate, how often the photos are found on a map by the vehicles' scale, by the true one and by
     wrong ones; their places come from Dense_GPS_*.txt, the CSV's longitude and latitude, or GPS tags.
     """
+    from ..actions.kept_boxes import KeptBoxes
     from ..evaluate import report
-    from ..photos import looking as boxes
     from ..photos.depth.maps import Depths
+    from ..photos.looking import Album, Looking, boxes_of
     from ..photos.tables import check_ending
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
     of_altitudes = ablations or sensitivity or looking["depth"] is not None
     _check_locate(locate, satellite, of_altitudes, method=method, scale_errors=scale_errors)
-    how = boxes.Looking.of(looking)
+    how = Looking.of(looking)
     with Outputs(overwrite, (path, satellite, lens_file, how.inputs)) as files, progress_bars() as progress:
         for output in outputs:
             check_ending(output, (".json", ".csv"))
         partials = [files.file(output) for output in outputs]
-        saved = boxes.PhotoBoxes(files, save_detections)
+        boxes = KeptBoxes(files, save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
-        saved.check(photos)
+        album = Album(photos)
+        boxes.check(album)
         search = None
         if satellite is not None:
             search, more = _search(path, samples, satellite, method, scale_errors)
@@ -133,18 +135,19 @@ def evaluate(
         depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
-        found = boxes.boxes_of(photos, how, ruler, progress)
+        found = boxes_of(photos, how, ruler, progress)
         notes += found.notes
-        saved.keep(found, photos)
+        boxes.keep(found, album)
         written = outputs if save_detections is None else (*outputs, save_detections)
-        if search is None:
-            text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
-            shown = report.tables(text, written)
-        else:
-            from ..evaluate import locating
+        with boxes.telling():
+            if search is None:
+                text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
+                shown = report.tables(text, written)
+            else:
+                from ..evaluate import locating
 
-            text = locating.document(search, found, ruler, notes, progress)
-            shown = "\n".join([locating.table(text), *(f"written    {output}" for output in written)])
+                text = locating.document(search, found, ruler, notes, progress)
+                shown = "\n".join([locating.table(text), *(f"written    {output}" for output in written)])
         for partial in partials:
             report.write(text, partial)
     say_json(text) if as_json else say(shown)

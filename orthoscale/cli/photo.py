@@ -69,8 +69,9 @@ def photo(
     nadir view, its altitude above the ground where the vehicles stand, the mean ground sampling distance and the
     footprint, each with a 90 % interval. The ground is assumed level.
     """
+    from ..actions.kept_boxes import KeptBoxes
     from ..photos import survey, tables
-    from ..photos.looking import Looking, PhotoBoxes
+    from ..photos.looking import Looking
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
@@ -79,8 +80,9 @@ def photo(
         for path in outputs:
             tables.check_ending(path)
         partials = [files.file(path) for path in outputs]
-        boxes = PhotoBoxes(files, save_detections)
-        made = survey.surveyed(paths, how, together, progress, boxes, **lens)
+        boxes = KeptBoxes(files, save_detections)
+        with boxes.telling():
+            made = survey.surveyed(paths, how, together, progress, boxes.keep, boxes.check, **lens)
         outcomes, pooled = made.outcomes, made.together
         text = made.to_dict()
         for partial in partials:

@@ -83,6 +83,11 @@ class Pictures(Protocol):
     @property
     def notes(self) -> list[Remark]: ...
     @property
+    def files(self) -> Sequence[Path]:
+        """The files that it was read from, except its pictures; none of them is ever written to."""
+        ...
+
+    @property
     def pictures(self) -> Sequence[Picture]: ...
     @property
     def picture_names(self) -> list[str]:
@@ -126,11 +131,6 @@ class Measurable(Pictures, Protocol):
     def metric_already(self) -> str: ...
     @property
     def by_orthoscale(self) -> bool: ...
-    @property
-    def files(self) -> Sequence[Path]:
-        """The files that it was read from, except its pictures; none of them is ever written to."""
-        ...
-
     def content_hash(self) -> str:
         """SHA-256 of its files."""
         ...

@@ -256,7 +256,7 @@ def load_network(path: Path | None, shipped: str, threads: int) -> tuple[Path, b
     it. Raises InputError."""
     file = path or Path(str(resources.files(__package__) / "weights" / shipped))
     content = read_network(file)
-    return file, content, _Shipped(content, threads) if path is None else _foreign(file, content, threads)
+    return file, content, _Shipped(content, threads) if path is None else load_foreign(file, content, threads)
 
 
 class _Shipped:
@@ -271,10 +271,12 @@ class _Shipped:
         return self._session.run(None, {self.said.inputs[0][0]: image})
 
 
-def _foreign(path: Path, content: bytes, threads: int) -> Worker:
+def load_foreign(path: Path, content: bytes, threads: int, seconds: float | None = None) -> Worker:
+    """The network `content` of a user's file at `path`, with `seconds` for each image; see `foreign.Worker`. Raises
+    InputError."""
     library = os.environ.get(OPERATORS)
     try:
-        return Worker(path, content, threads, library)
+        return Worker(path, content, threads, library, seconds)
     except ForeignError as error:
         if error.library:
             raise InputError(

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ..core.normal import of_median
+
 # Shares of a vehicle's length and width: what lies within the first pair is its body, what lies beyond the second its
 # surroundings.
 OF_BODY, AROUND_BODY = (0.7, 0.6), (1.2, 1.3)
@@ -71,8 +73,7 @@ def dark_and_light(log_size: np.ndarray, light: np.ndarray) -> tuple[np.ndarray,
 
 def larger(dark: np.ndarray, bright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(2,) by how much the median of log sizes `dark` (K, 2) exceeds that of `bright` (L, 2), and its variance (2,)."""
-    # The variance of a median is pi / 2 times that of a mean.
-    variance = np.pi / 2 * (dark.var(0, ddof=1) / len(dark) + bright.var(0, ddof=1) / len(bright))
+    variance = of_median(len(dark)) * dark.var(0, ddof=1) + of_median(len(bright)) * bright.var(0, ddof=1)
     return np.median(dark, 0) - np.median(bright, 0), variance
 
 

@@ -16,7 +16,7 @@ from ..core.progress import Progress
 from ..errors import TooLittleEvidence, UsageError
 from ..locate.claimed import BY_VEHICLES, BY_WORD, ClaimedScale
 from ..locate.features import Features
-from ..locate.outcome import foot
+from ..locate.outcome import LocateOutcome, foot
 from ..locate.register import PlaceFinder
 from ..photos.measure import Interval90, measure
 from ..sources.satellite import Satellite
@@ -148,7 +148,7 @@ def document(
     }
 
 
-def _found(each: PlacedSample, outcome: Any) -> LocateTrial:
+def _found(each: PlacedSample, outcome: LocateOutcome) -> LocateTrial:
     name = each.sample.photo.name
     if outcome.registration is None or not outcome.registration.candidates:
         return LocateTrial(name, float("inf"), False)
@@ -175,7 +175,8 @@ def summary(results: Sequence[LocateTrial], photos: int) -> dict[str, Any]:
 
 def table(text: Mapping[str, Any]) -> str:
     """The curve for a terminal."""
-    heads = ("scale", "searched", "best 5 m", "best 20 m", "answered", "5 m", "20 m", "wrong")
+    near, far = f"{NEAR_M:g} m", f"{FAR_M:g} m"
+    heads = ("scale", "searched", f"best {near}", f"best {far}", "answered", near, far, "wrong")
     lines = ["".join(f"{head:>11s}" for head in heads)]
     for each in text["success"]:
         shares = [f"{100 * each[k]:.0f} %" for k in ("best_near", "best_far", "answered", "near", "far")]

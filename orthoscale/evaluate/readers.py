@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ..core.projection.level import up_from_survey
-from ..errors import InputError
+from ..errors import InputError, shown
+from ..formats.names import first_few
 from ..formats.points import decimal_commas
 from ..formats.reading import Table, absent, files_below, is_hidden, read_table, read_text, refuse_repeated
 from ..photos.folders import IMAGE_SUFFIXES
@@ -31,7 +32,7 @@ NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IG
 # 1440 x 1080 px, as in the paper's program.
 DENSEUAV_FOCAL = 8.8 / 14.667
 PHOTO_COLUMNS = ("image", "altitude_m", "region", "focal_px", "pitch_deg", "roll_deg")  # of a table of photos
-DSM_ENDINGS = ("_dsm.tif", "dsm.tif", "_DSM.tif", "DSM.tif")
+DSM_ENDINGS = ("dsm.tif", "dsm.tiff")  # of names in lower case
 
 
 @dataclass(frozen=True)
@@ -122,9 +123,12 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
             own_lens = region / "camera.xml"
             if not own_lens.is_file():
                 raise InputError(f"{region}: no camera.xml", "Give --lens or --focal-px.")
-        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}")) if not is_hidden(p.name)]
+        models = [p for p in sorted(region.iterdir()) if _is_surface_model(p.name)]
         if not models:
             raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
+        if len(models) > 1:
+            several = first_few([p.name for p in models])
+            raise InputError(f"{region}: several surface models: {several}", "Leave one, or join them.")
         poses = _read_poses(region / "reference.txt")
         unposed = off_map = 0
         with Surface.open(models[0]) as surface:
@@ -146,6 +150,10 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
         for count, what in ((unposed, "without a pose"), (off_map, "without ground below them")):
             notes += [f"region {name_of(region)}: {count} photos {what}"] * (count > 0)
     return samples, notes
+
+
+def _is_surface_model(name: str) -> bool:
+    return name.lower().endswith(DSM_ENDINGS) and not is_hidden(name)
 
 
 def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
@@ -170,7 +178,11 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
                 f"{path}, line {number}: {values[0]:g}, {values[1]:g} is not a longitude and latitude",
                 "The last six columns are longitude, latitude, height, yaw, pitch, roll.",
             )
-        poses[parts[0]] = values
+        if poses.setdefault(parts[0], values) != values:
+            raise InputError(
+                f"{path}, line {number}: {shown(parts[0])} has another pose already",
+                "Correct or remove one of the lines.",
+            )
     if not poses:
         raise InputError(f"{path}: no pose in it", "Lines are: label ... longitude latitude height yaw pitch roll.")
     return poses
@@ -184,7 +196,7 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
     InputError."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
-    samples = []
+    samples: dict[str, Sample] = {}
     try:
         table = read_table(path, "Give the CSV file.")
         missing = {"image", "altitude_m"} - set(table.fieldnames or ())
@@ -195,10 +207,14 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
             )
         refuse_repeated(path, table, PHOTO_COLUMNS, "Keep one of them.")
         for row in table:
-            samples.append(_row(row, table, lens_file, focal_px))
+            sample = _row(row, table, lens_file, focal_px)
+            if samples.setdefault(name := sample.photo.name, sample) is not sample:
+                raise InputError(
+                    f"{path}, line {table.line_num}: {shown(name)} is in a line before", "Keep one of the lines."
+                )
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table", "Save it as comma-separated UTF-8 text.") from error
-    return samples, []
+    return list(samples.values()), []
 
 
 def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: float | None) -> Sample:
@@ -219,17 +235,10 @@ def _row(row: dict[str, str], table: Table, lens_file: Path | None, focal_px: fl
     roll = number("roll_deg")
     if roll is not None and not -360 <= roll <= 360:
         raise InputError(f"{path}, line {line}: roll_deg is {roll:g}, not between -360 and 360", "Correct the column.")
-    place = path.parent / (row["image"] or "").strip()
+    name = (row["image"] or "").strip()
     if focal_px is None and lens_file is None:
         focal_px = number("focal_px")
-    photo = open_photo(
-        place,
-        (row["image"] or "").strip(),
-        lens_file=lens_file,
-        focal_px=focal_px,
-        pitch=pitch,
-        roll=roll,
-    )
+    photo = open_photo(path.parent / name, name, lens_file=lens_file, focal_px=focal_px, pitch=pitch, roll=roll)
     return Sample(photo, altitude, (row.get("region") or "").strip() or path.stem)
 
 

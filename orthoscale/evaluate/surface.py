@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,18 @@ import pyproj
 from rasterio.windows import Window
 
 from ..core.affine import transformed
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..formats.degrees import near_on_map, to_degrees
 from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, from the lowest, whose mean is the ground: roofs and crowns lie above
+# [m] units of heights, by the letters of their names in GDAL, PROJ and Esri's programs.
+HEIGHT_UNITS = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "footintl", "internationalfoot", "internationalfeet"), 0.3048),
+    **dict.fromkeys(("usft", "ftus", "footus", "ussurveyfoot", "ussurveyfeet"), 1200 / 3937),
+}
 
 
 class Surface:
@@ -24,16 +31,21 @@ class Surface:
     def __init__(self, dataset: Any, crs: pyproj.CRS):
         self._dataset, self._crs = dataset, crs
         self._to_degrees = to_degrees(crs)
+        self._unit = _unit(dataset, crs)
 
     @classmethod
     def open(cls, path: Path) -> Surface:
-        """Open the model at `path`. Raises InputError if it is no raster, or has no coordinate reference system."""
+        """Open the model at `path`. Raises InputError if it is no raster, has no coordinate reference system, or
+        heights in an unknown unit."""
         with reading(path, "is not a surface model that GDAL can read", "Give a GeoTIFF."):
             dataset = open_dataset(path)
-        if dataset.crs is None:
+        try:
+            if dataset.crs is None:
+                raise InputError(f"{path}: the surface model has no coordinate reference system", "Assign one to it.")
+            return cls(dataset, pyproj.CRS.from_user_input(dataset.crs))
+        except BaseException:
             dataset.close()
-            raise InputError(f"{path}: the surface model has no coordinate reference system", "Assign one to it.")
-        return cls(dataset, pyproj.CRS.from_user_input(dataset.crs))
+            raise
 
     def __enter__(self) -> Surface:
         return self
@@ -66,8 +78,22 @@ class Surface:
         offset = np.linalg.solve(axes, np.stack([x.ravel() + x0 - cx, y.ravel() + y0 - cy]))
         near = (np.hypot(*offset) <= RADIUS).reshape(heights.shape)
         # Models without a nodata value have -32767 and the like where there is no height.
-        known = np.sort(heights[near].compressed())
+        stored = heights[near].compressed().astype(float)
+        known = np.sort(self._unit * (stored * self._dataset.scales[0] + self._dataset.offsets[0]))
         known = known[np.isfinite(known) & (known > -1000)]
         if not len(known):
             return None
         return float(known[: max(1, round(LOWEST_SHARE * len(known)))].mean())
+
+
+def _unit(dataset: Any, crs: pyproj.CRS) -> float:
+    """The unit of the heights [m]: the band's own, else that of the vertical axis, else metres. Raises InputError."""
+    if name := dataset.units[0]:
+        unit = HEIGHT_UNITS.get(re.sub("[^a-z]", "", name.lower()))
+        if unit is None:
+            raise InputError(
+                f"{dataset.name}: its heights are in {shown(name)!r}, which is no known unit",
+                "Give them in metres or feet, and set the unit of its band to m, ft or us-ft.",
+            )
+        return unit
+    return crs.axis_info[2].unit_conversion_factor if len(crs.axis_info) > 2 else 1.0

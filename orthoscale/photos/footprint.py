@@ -21,12 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Footprint:
-    """gsd : average ground sampling distance of the photo [m/px]. size : of its picture [px]. told : facts for
-    reports."""
+    """gsd : average ground sampling distance of the photo [m/px]. told : facts for reports."""
 
     picture: PictureFile
     gsd: float
-    size: tuple[int, int]
     told: dict[str, Any]
 
 
@@ -41,7 +39,7 @@ def footprint_of(
         gsd = positive("--gsd", gsd)
         tags = read_tags(path)
         picture = PictureFile(path.name, path, tags.width, tags.height)
-        return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
+        return Footprint(picture, gsd, {"photo": str(path), "gsd": gsd})
     ruler, why = how.ruler_fleet([path])
     photo = open_photo(path, **lens)
     found = boxes_of([photo], how, ruler, progress)
@@ -64,4 +62,4 @@ def footprint_of(
         "focal_source": photo.lens.source,
         "notes": [*why, *found.notes],
     }
-    return Footprint(photo.picture, got.gsd.value, (photo.tags.width, photo.tags.height), told)
+    return Footprint(photo.picture, got.gsd.value, told)

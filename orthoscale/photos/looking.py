@@ -19,7 +19,6 @@ from ..requests import PhotoRequest
 from ..sources.country import fleet_at, named_fleet
 from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
-from ..system.outputs import Outputs
 from .photo import Photo
 
 WITH_GSD = "--gsd says how large a pixel is, nothing is measured"  # why options of measuring do nothing
@@ -47,6 +46,7 @@ class Album:
     photos: Sequence[Photo]
     notes: list[Remark] = field(default_factory=list)
     claimed: None = None
+    files: tuple[Path, ...] = ()
 
     @property
     def path(self) -> Path:
@@ -115,34 +115,3 @@ def _detected(photos: Sequence[Photo], how: Looking, fleet: Fleet, progress: Pro
     if path is not None or how.ruler is not None:
         return found
     return remeasured([photo.picture for photo in photos], found, Measurer(), effort, progress, MOST_IN_FRAMES)
-
-
-class PhotoBoxes:
-    """The file at `path` in which the boxes of photos are saved; None saves none. `outputs` : to which it is added.
-    Raises UsageError, OutputError."""
-
-    def __init__(self, outputs: Outputs, path: Path | None) -> None:
-        from ..formats.detections import output_of
-
-        self._path, self._outputs = path, outputs
-        self._partial = output_of(outputs, path)
-
-    def check(self, photos: Sequence[Photo]) -> None:
-        """Raise UsageError if the file cannot hold boxes of `photos`: before these are searched for."""
-        from ..formats.detections import check_pictures
-
-        if self._path is not None:
-            check_pictures(self._path, Album(photos))
-
-    def keep(self, found: Detections, photos: Sequence[Photo]) -> None:
-        """Save `found` at once: boxes are most worth inspecting if they are too few. Raises UsageError, OSError."""
-        if self._partial is not None:
-            save_boxes(found, self._partial, photos)
-            self._outputs.deliver(self._partial)
-
-
-def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
-    """Write `found` to `path`, in the format that its name says. Raises UsageError, OSError."""
-    from ..formats.detections import save
-
-    save(found, path, Album(photos))

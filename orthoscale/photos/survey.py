@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from ..option import number
 from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .folders import find_photos
-from .looking import Looking, PhotoBoxes, boxes_of
+from .looking import Album, Looking, boxes_of
 from .measure import Interval90, PhotoScale, measure
 from .photo import GivenCamera, Photo, open_photo, open_sound_photo
 from .tables import PhotoOutcome, document
@@ -89,7 +89,7 @@ def photo(
     numbers = {"--focal-px": focal_px, "--pitch": pitch, "--roll": roll}
     focal_px, pitch, roll = (None if v is None else number(name, v) for name, v in numbers.items())
     told: GivenCamera = {"lens_file": lens, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    return surveyed(given, Looking.of(options), together, progress, None, **told)
+    return surveyed(given, Looking.of(options), together, progress, **told)
 
 
 def surveyed(
@@ -97,22 +97,25 @@ def surveyed(
     how: Looking,
     together: bool = False,
     progress: Progress | None = None,
-    boxes: PhotoBoxes | None = None,
+    on_boxes: Callable[[Detections, Album], None] | None = None,
+    on_open: Callable[[Album], None] | None = None,
     **lens: Unpack[GivenCamera],
 ) -> Survey:
     """Measure the photos at `paths` as `how` requests. See `photo`.
 
-    boxes : the file in which they are saved as soon as they are found, whether or not they are enough for a scale.
+    on_boxes : called as soon as boxes are found, whether or not they are enough for a scale. on_open : called with the
+    photos as soon as they are open, and may refuse them.
     """
     given = find_photos(paths)
     photos, problems = open_photos(given.paths, decode=how.detections is None, **lens)
-    if boxes is not None:
-        boxes.check(photos)
+    album = Album(photos)
+    if on_open is not None:
+        on_open(album)
     depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, fleet, progress)
-    if boxes is not None:
-        boxes.keep(found, photos)
+    if on_boxes is not None:
+        on_boxes(found, album)
     outcomes = measure_each(photos, problems, found, fleet)
     if depths is not None:
         outcomes = compared(outcomes, depths, found)

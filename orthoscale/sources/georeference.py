@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from rasterio.transform import Affine, from_gcps
 from ..core.affine import transformed
 from ..errors import InputError
 from ..formats.degrees import near_on_map, to_degrees
-from ..formats.reading import is_there
+from ..formats.reading import LARGE, is_there, read_bytes
 from .gdal import open_dataset, read_projection, world_files
 
 LINE = 1e-6  # width over length up to which points count as lying on a line
@@ -29,6 +30,7 @@ MOST_MISFIT = 0.02
 # degrees, have tens.
 MOST_LEANING = 5.0
 NO_GEOREFERENCE = "not georeferenced"  # `Claim.why` of a picture that says nothing of its place and scale
+NOT_READ = "GDAL does not understand"  # in `Claim.why` where files beside the picture were to say more
 NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
@@ -93,26 +95,25 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
         if dataset.rpcs:
             return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
         path = Path(dataset.name)
-        world = next((name for name in world_files(path) if is_there(path.with_name(name))), None)
-        unread = f": GDAL does not understand {world} beside it" if world else ""
-        return Claim(None, False, NO_GEOREFERENCE + unread)
+        world = [name for name in world_files(path) if is_there(path.with_name(name))][:1]
+        return Claim(None, False, NO_GEOREFERENCE + _left_aside(": ", _damaged_sidecar(path) + world))
     across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
     size = math.sqrt(abs(t.determinant))
     if size == 0 or not math.isfinite(across * down):
         return Claim(None, False, "a geotransform without area")
-    told_by, unread = "", ""
+    told_by, unread = "", _damaged_sidecar(Path(dataset.name)) if crs is None else []
     if crs is None and projection is not None:
         try:
             crs, told_by = read_projection(projection), f" ({projection.name})"
         except InputError:
-            unread = f", and {projection.name} beside it is not understood"
+            unread.append(projection.name)
     if crs is None:
         beside = [Path(f).name for f in dataset.files[1:]]
         aspect = _aspect(across, down)
         shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         why = (
             f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
-            f"there is no coordinate reference system{unread}; pixels are {shape}"
+            f"there is no coordinate reference system{_left_aside(', and ', unread)}; pixels are {shape}"
         )
         return Claim(size, False, why + _attitude(t), None, t, unit_known=False)
     system = pyproj.CRS.from_user_input(crs)
@@ -124,6 +125,24 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
         # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
         return Claim(None, False, f"a placeholder: {system.name}{told_by} with its origin at exactly (0, 0)", crs, t)
     return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}{told_by}")
+
+
+def _damaged_sidecar(path: Path) -> list[str]:
+    """The name of the ``.aux.xml`` beside the picture `path`, if there is one that is no XML: GDAL leaves it aside, and
+    says nothing."""
+    sidecar = path.with_name(f"{path.name}.aux.xml")
+    if not is_there(sidecar):
+        return []
+    try:
+        ElementTree.fromstring(read_bytes(sidecar, "", LARGE))
+    except (InputError, ElementTree.ParseError, LookupError, ValueError):  # the last two of unknown encodings
+        return [sidecar.name]
+    return []
+
+
+def _left_aside(joint: str, names: list[str]) -> str:
+    """That the files called `names` beside the picture say nothing, after `joint`; '' if there are none."""
+    return f"{joint}{NOT_READ} {' and '.join(names)} beside it" if names else ""
 
 
 def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:

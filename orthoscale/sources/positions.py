@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.gps import MOST_SD, bend, by_positions
+from ..core.gps import MOST_SD, bend, by_positions, mirrored
 from ..core.remarks import percent
 from ..core.source import FilePicture, GpsScale
 from ..errors import InputError, OrthoscaleError
@@ -23,6 +23,10 @@ MOST_POSITIONS = 300  # positions of a flight, evenly chosen, that are read and 
 TAKEN = "%Y:%m:%d %H:%M:%S"  # EXIF 2.32, DateTimeOriginal
 SPACING = 3.0  # [s] between frames whose tags have no time: mapping drones take one every 2 to 5 s
 SAID = 2.0  # sigmas from which a bend is told; a judgement
+UPSIDE_DOWN = (
+    "the altitudes of its frames do not count: they fall where its cameras rise, as those below the sea do whose sign "
+    "is lost"
+)
 UNHEARD = "the GPS positions of its frames do not count"
 
 
@@ -44,21 +48,25 @@ def gps_scale(source: PosedSet) -> GpsScale:
 
 def _bend(
     source: PosedSet, scale: float, centres: np.ndarray, tags: Sequence[Tags], seconds: np.ndarray
-) -> tuple[float, float]:
-    """See `core.gps.bend`, of the cameras at `centres` (N, 3) [units], of `scale` metres each."""
+) -> tuple[float, float, tuple[str, ...]]:
+    """See `core.gps.bend`, of the cameras at `centres` (N, 3) [units], of `scale` metres each; and notes."""
     ground = source.ground
     places, heights = scale * ground.plane(centres), scale * (centres @ ground.up)
     above = scale * float(np.median(ground.height_above(centres)))
-    return bend(places, heights, _altitudes(tags), seconds, above, source.bend_sd)
+    altitudes = _altitudes(tags)
+    if altitudes is not None and source.bend_sd > 0 and mirrored(places, heights, altitudes):
+        return 0.0, source.bend_sd, (UPSIDE_DOWN,)
+    return *bend(places, heights, altitudes, seconds, above, source.bend_sd), ()
 
 
-def _on_ground(found: Evidence, bent: float, sd: float) -> GpsScale:
+def _on_ground(found: Evidence, bent: float, sd: float, notes: tuple[str, ...]) -> GpsScale:
     """The scale of the ground by that of the cameras, `found`, which exceeds it by `bent`, with one sigma `sd`."""
     on_ground = replace(found, value=found.value / (1 + bent), relative_sd=float(np.hypot(found.relative_sd, sd)))
     if not on_ground.relative_sd < MOST_SD:
-        return GpsScale(notes=(f"{UNHEARD}: they give the scale at its cameras, and how far it is bent is left open",))
-    if abs(bent) < SAID * sd:
-        return GpsScale((on_ground,))
+        why = f"{UNHEARD}: they give the scale at its cameras, and how far it is bent is left open"
+        return GpsScale(notes=(*notes, why))
+    if abs(bent) <= SAID * sd:
+        return GpsScale((on_ground,), notes)
     told = (
         f"by the altitudes of its frames the model is bent, a {'bowl' if bent > 0 else 'dome'}, as self-calibration "
         f"bends flat blocks: GPS positions give the scale at its cameras, {percent(abs(bent))} "

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ...core.source import Picture
-from ...detect.detector import IMAGE_TYPES, read_network
-from ...detect.foreign import NO_NETWORK, ForeignError, Worker
+from ...detect.detector import IMAGE_TYPES, load_foreign, read_network
+from ...detect.foreign import ForeignError
 from ...detect.workers import cores
 from ...errors import InputError, UsageError
 from .rules import Rule
@@ -25,10 +25,7 @@ class DepthNetwork:
     def __init__(self, path: Path, rule: Rule):
         """Load the network at `path`, whose input and unit are those of `rule`."""
         self.path, self.rule = path, rule
-        try:
-            self._worker = Worker(path, read_network(path), cores(), None, LONGEST_LOOK)
-        except ForeignError as error:
-            raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})", NO_NETWORK) from error
+        self._worker = load_foreign(path, read_network(path), cores(), LONGEST_LOOK)
         inputs, outputs, _ = self._worker.said
         if len(inputs) != 1:
             asked = ", ".join(name for name, _, _ in inputs)
