@@ -115,8 +115,7 @@ def by_frame(
     log_size, weights : (M, 2) of each box, as in `model_drift`. A box's deviation is the log ratio of the median size
     in the same vehicle's other views to its own size, the weighted mean over length and width. How uncertain it is
     beside others follows from the weights, for flat views err more than steep ones; how uncertain they all are, from
-    how they scatter. None is taken for surer than the usual one: half-hidden vehicles stray without knowing it. A frame
-    whose boxes contradict each other says less (Birge 1932).
+    how they scatter. A frame whose boxes contradict each other, as of half-hidden vehicles, says less (Birge 1932).
     """
     each = np.full(log_size.shape, np.nan)
     for members, counts in zip(votes.members, scale.used, strict=True):
@@ -127,8 +126,7 @@ def by_frame(
     known = np.isfinite(stray)
     if not known.any():
         return {}, []
-    usual = max(float(robust_sd(stray[known])), LEAST_NOISE)
-    sure = 1 / np.maximum(own * robust_sd((stray / own)[known]), usual) ** 2
+    sure = 1 / np.maximum(own * robust_sd((stray / own)[known]), LEAST_NOISE) ** 2
     frames, odd = {}, []
     for name in np.unique(picture[known]):
         mine = known & (picture == name)
