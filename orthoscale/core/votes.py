@@ -144,10 +144,11 @@ def gather(seen: Sightings, repeated: bool) -> Votes:
     )
 
 
-def view_weights(sigma: np.ndarray, lasting: np.ndarray) -> np.ndarray:
+def view_weights(sigma: np.ndarray, lasting: np.ndarray | None) -> np.ndarray:
     """(M, 2) weights of sightings beside others of their vehicle: their inverse variances. Arguments as in
     `Sightings`."""
-    return 1 / np.maximum(np.where(np.isfinite(sigma), sigma, USUAL_NOISE) ** 2 + lasting**2, LEAST_NOISE**2)
+    variance = np.where(np.isfinite(sigma), sigma, USUAL_NOISE) ** 2 + (0.0 if lasting is None else lasting**2)
+    return 1 / np.maximum(variance, LEAST_NOISE**2)
 
 
 def weighted_median(values: np.ndarray, axis: int, weights: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,6 @@ MOST_MISFIT = 0.02
 # degrees, have tens.
 MOST_LEANING = 5.0
 NO_GEOREFERENCE = "not georeferenced"  # `Claim.why` of a picture that says nothing of its place and scale
-NOT_READ = "GDAL does not understand"  # in `Claim.why` where files beside the picture were to say more
 NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
@@ -52,6 +52,7 @@ class Claim:
         without any.
     aspect : width over height of a pixel on the ground; 1 if it is square or unknown.
     unit_known : False if nothing gives the unit of the figures.
+    unread : names of files beside the raster that were to say more, but are not understood.
     """
 
     gsd_m: float | None
@@ -61,6 +62,7 @@ class Claim:
     transform: Affine | None = None
     aspect: float = 1.0
     unit_known: bool = True
+    unread: Sequence[str] = ()
 
     @property
     def mirrored(self) -> bool:
@@ -95,8 +97,8 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
         if dataset.rpcs:
             return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
         path = Path(dataset.name)
-        world = [name for name in world_files(path) if is_there(path.with_name(name))][:1]
-        return Claim(None, False, NO_GEOREFERENCE + _left_aside(": ", _damaged_sidecar(path) + world))
+        unread = _damaged_sidecar(path) + [name for name in world_files(path) if is_there(path.with_name(name))][:1]
+        return Claim(None, False, NO_GEOREFERENCE + _left_aside(": ", unread), unread=tuple(unread))
     across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
     size = math.sqrt(abs(t.determinant))
     if size == 0 or not math.isfinite(across * down):
@@ -115,7 +117,7 @@ def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
             f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
             f"there is no coordinate reference system{_left_aside(', and ', unread)}; pixels are {shape}"
         )
-        return Claim(size, False, why + _attitude(t), None, t, unit_known=False)
+        return Claim(size, False, why + _attitude(t), None, t, unit_known=False, unread=tuple(unread))
     system = pyproj.CRS.from_user_input(crs)
     if system.type_name == "Engineering CRS":
         size *= system.axis_info[0].unit_conversion_factor
@@ -142,7 +144,7 @@ def _damaged_sidecar(path: Path) -> list[str]:
 
 def _left_aside(joint: str, names: list[str]) -> str:
     """That the files called `names` beside the picture say nothing, after `joint`; '' if there are none."""
-    return f"{joint}{NOT_READ} {' and '.join(names)} beside it" if names else ""
+    return f"{joint}GDAL does not understand {' and '.join(names)} beside it" if names else ""
 
 
 def other_claims(path: Path, dataset: DatasetReader, claim: Claim) -> list[str]:

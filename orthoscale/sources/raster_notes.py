@@ -12,7 +12,7 @@ from ..core.remarks import CAUTION, INFO, Remark
 from ..core.source import Placement
 from ..errors import shown
 from ..formats.names import first_few
-from .georeference import NOT_READ, Claim
+from .georeference import Claim
 from .raster_copy import SCALE_TAG, Original
 
 CAMERA_TAGS = {"EXIF_FocalLength", "EXIF_FocalLengthIn35mmFilm"}  # as GDAL names them; orthophotos have none
@@ -27,7 +27,7 @@ def of_image(dataset: DatasetReader, claimed: Claim, others: Sequence[str]) -> I
     if others:
         counts = f"{claimed.gsd_m:.4g} m/px is taken for its claim, as GDAL and QGIS do, but {', '.join(others)}"
         yield Remark(CAUTION, counts)
-    if NOT_READ in claimed.why:
+    if claimed.unread:
         yield Remark(CAUTION, claimed.why)
     if (turned := tags.get("EXIF_Orientation", "1")) not in ("0", "1"):
         text = (
