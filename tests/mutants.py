@@ -428,6 +428,24 @@ MUTANTS = (
         f"{BLOCKS}test_how_far_up_boxes_of_ground_pictures_reach_is_not_known_exactly",
     ),
     Mutant(
+        "core/votes.py",
+        "missed >= FOUND_IN * self.shown",
+        "self.views == 1",
+        "tests/test_votes.py::test_what_is_missed_as_often_as_vehicles_are_found_is_a_mistake",
+    ),
+    Mutant(
+        "core/measuring/model_drift.py",
+        "np.average(each, axis=1, weights=weights)",
+        "each.mean(1)",
+        "tests/test_model_drift.py::test_an_axis_that_is_unsure_hardly_counts",
+    ),
+    Mutant(
+        "core/measuring/model_drift.py",
+        " * max(birge, 1.0)",
+        "",
+        "tests/test_model_drift.py::test_a_frame_whose_boxes_contradict_each_other_is_not_named",
+    ),
+    Mutant(
         "core/measuring/surroundings.py",
         "kept = ~votes.fleeting",
         "kept = np.ones(len(votes), bool)",
