@@ -16,9 +16,9 @@ SAME_PLACE = 0.6
 # The centres of two vehicles cannot come closer than a width either. Groups of views that do are of one vehicle whose
 # boxes stray (it stands half in the shade or under a tree), unless a frame shows both.
 LEAST_APART = 1.0
-# Share of the frames showing a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
-# (detect/weights/README.md). Of five frames, a parked vehicle is then found in one only in 0.6 % of the cases, a moving
-# one more often.
+# Share of the frames showing a vehicle in which it is found: about the recall of the shipped detector in frames, 0.84
+# and 0.88 (detect/weights/README.md). Of five frames, a parked vehicle is then found in one only in 0.6 % of the cases,
+# a moving one more often.
 FOUND_IN = 0.8
 ENOUGH_FRAMES = 5  # frames that show a place, from which on a mistake can be told from a vehicle
 USUAL_NOISE = 0.05  # relative one sigma of a box that has no `sigma` of its own, besides `lasting`

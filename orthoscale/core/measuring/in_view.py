@@ -1,4 +1,4 @@
-"""How many frames show a place: a vehicle should be found in most of them, a false detection is rarely found twice."""
+"""How many frames show a place: a vehicle should be found in most of them, a false detection in few."""
 
 from __future__ import annotations
 
