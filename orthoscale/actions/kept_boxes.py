@@ -47,6 +47,10 @@ class KeptBoxes:
     def keep(self, found: Detections, source: Pictures) -> None:
         """Save the boxes `found` in `source` at once, whatever follows. Raises UsageError, OSError."""
         self.take(found, source)
+        self._deliver()
+
+    def _deliver(self) -> None:
+        """Save the remembered boxes at once."""
         if self.partial is not None:
             self.save()
             self._outputs.deliver(self.partial)
@@ -59,8 +63,8 @@ class KeptBoxes:
             try:
                 yield
             except NO_SCALE:
-                if self._found is not None and self._source is not None and self._found.any_boxes:
-                    self.keep(self._found, self._source)
+                if self._found is not None and self._found.any_boxes:
+                    self._deliver()
                 raise
 
     @contextmanager

@@ -54,9 +54,10 @@ def _bend(
     places, heights = scale * ground.plane(centres), scale * (centres @ ground.up)
     above = scale * float(np.median(ground.height_above(centres)))
     altitudes = _altitudes(tags)
+    notes: tuple[str, ...] = ()
     if altitudes is not None and source.bend_sd > 0 and mirrored(places, heights, altitudes):
-        return 0.0, source.bend_sd, (UPSIDE_DOWN,)
-    return *bend(places, heights, altitudes, seconds, above, source.bend_sd), ()
+        altitudes, notes = None, (UPSIDE_DOWN,)
+    return *bend(places, heights, altitudes, seconds, above, source.bend_sd), notes
 
 
 def _on_ground(found: Evidence, bent: float, sd: float, notes: tuple[str, ...]) -> GpsScale:
