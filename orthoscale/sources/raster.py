@@ -33,7 +33,7 @@ from .georeference import CopyGeoreference, claim_of, kept_place, local_place, o
 from .raster_blocks import RasterBlocks
 from .raster_copy import SCALE_TAG, Original
 from .raster_display import EXPORT_BITS, Display
-from .raster_margin import Margin, margin_of
+from .raster_margin import margin_of
 from .raster_notes import of_copy, of_image, of_margin
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
@@ -83,6 +83,8 @@ class RasterSource:
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
         self._blocks = RasterBlocks.of(path, dataset)
+        if not self._blocks.in_order:  # else it is decoded to its end where its margin is looked for
+            self._read_last()
         self._display = Display.of(path, dataset, self._blocks.in_order, self._damage)
         self.notes += self._display.notes
         self._overviews = dataset.overviews(self._display.bands[0])
@@ -90,7 +92,7 @@ class RasterSource:
         self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, after the first read, a copy of it in blocks
-        self._margin = self._look_around()
+        self._margin = margin_of(self.width, self.height, self._read)
         self.claimed = claim_of(dataset, projection)
         self.by_orthoscale = SCALE_TAG in dataset.tags()
         self.notes += of_image(dataset, self.claimed, other_claims(path, dataset, self.claimed))
@@ -101,7 +103,7 @@ class RasterSource:
     def open(cls, path: str | Path) -> RasterSource:
         """Open an image: GeoTIFF, COG, JPEG, PNG, JPEG 2000, VRT, or whatever else this GDAL reads.
 
-        Its last block is read too, because a truncated file often opens well.
+        Blocks along its sides are read too, because a truncated file often opens well.
 
         Raises InputError when the file is missing, a folder, empty, no image, damaged, or useless (no colour band,
         complex numbers, less than 32 px wide).
@@ -239,7 +241,7 @@ class RasterSource:
         if min(width, height, out_width, out_height) < 1:
             raise ValueError(f"empty window: {width} x {height} to {out_width} x {out_height} px")
         window, out = Window(x, y, width, height), (out_height, out_width)
-        with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
+        with self._lock:
             if self._needs_blocks:
                 self._copy_into_blocks()
             rgb = self._read(window, out)
@@ -257,13 +259,15 @@ class RasterSource:
         """`read`, of a sheet's margin too."""
         shrinking = out[0] * out[1] < window.width * window.height
         resampling = Resampling.average if shrinking else Resampling.cubic
-        rgb = self._read_unmixed(window, out) if self._display.unmixed else self._shown(window, out, resampling)
-        if self._masked:
-            how = Resampling.average if shrinking else Resampling.nearest
-            known = self._read_from.dataset_mask(window=window, out_shape=out, resampling=how)
-            rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
-        if self._blocks.written is not None:
-            rgb = np.where(self._blocks.written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
+        (top, bottom), (left, right) = window.toranges()
+        with self._damage(f"at x {left}..{right}, y {top}..{bottom}"):
+            rgb = self._read_unmixed(window, out) if self._display.unmixed else self._shown(window, out, resampling)
+            if self._masked:
+                how = Resampling.average if shrinking else Resampling.nearest
+                known = self._read_from.dataset_mask(window=window, out_shape=out, resampling=how)
+                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
+            if self._blocks.written is not None:
+                rgb = np.where(self._blocks.written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
         return np.broadcast_to(rgb, (*out, 3))
 
     def _shown(self, window: Window, out: tuple[int, int], resampling: Resampling) -> np.ndarray:
@@ -336,16 +340,11 @@ class RasterSource:
         if len(dataset.subdatasets) > 1:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
-    def _look_around(self) -> Margin | None:
-        """The margin of a map sheet. Finds damage too, without reading everything: the last block is decoded.
-
-        All from top to bottom, so that a file without blocks is decoded once.
-        """
+    def _read_last(self) -> None:
+        """Find damage without reading everything: decode the last block."""
+        # One pixel decodes its whole block. For a whole PNG at once, GDAL would use code that tolerates truncation.
         with self._damage("at its end"):
-            margin = margin_of(self.width, self.height, self._read)
-            # One pixel decodes its whole block. For a whole PNG at once, GDAL would use code that tolerates truncation.
             self._dataset.read(window=Window(self.width - 1, self.height - 1, 1, 1))
-        return margin
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
         if self._dataset.driver == "VRT":  # it has no pixels of its own

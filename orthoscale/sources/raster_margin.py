@@ -13,25 +13,26 @@ import cv2
 import numpy as np
 from rasterio.windows import Window
 
-# Chosen by eye, on sheets drawn around eight orthophotos; none of the real pictures in ../shared/data has a margin.
-PAPER = 200  # [of 255] paper is no darker than this; borders without data are seldom so light
-FLAT = 12  # [of 255] pixels of paper differ by no more from its colour, after JPEG or scanning too
+# Chosen by eye, on sheets drawn around eight orthophotos. None of 1,494 real pictures is taken for a sheet; six are if
+# made 1.6 times as bright, of 78 m of ground each, where all of a side is white.
+PAPER_GREY = 200  # [of 255] paper is no darker than this; borders without data are seldom so light
+ONE_COLOUR = 12  # [of 255] pixels of paper differ by no more from its colour, after JPEG or scanning too
 NOISE = 4.0  # [of 255] standard deviation within a patch of scanned paper, at most
-PATCH = 48, 4  # length and depth of the patches along a picture's sides that are looked at [px] ...
+EDGE_PATCH = 48, 4  # length and depth of the patches along a picture's sides that are looked at [px] ...
 PATCHES = 16  # ... and number of them along each side
 FLAT_SIDE = 0.9  # share of these that show nothing but paper, along a side where the sheet's margin is
-LONGEST = 2048  # longest side of the reduced picture in which the margin is outlined; all lengths below are in its px
+REDUCED_SIDE = 2048  # [px] longest side of the reduced picture in which the margin is outlined; lengths below are in it
 STROKE = 17  # [px] odd; paper less far apart has lettering between it, or a line of the frame
-NARROW = 25  # [px] odd; a strip of paper narrower than this has no lettering, or is a bright street at the edge
+NARROW_STRIP = 25  # [px] odd; a strip of paper narrower than this has no lettering, or is a bright street at the edge
 ISLAND = 0.02  # share of the sheet below which something in the margin is no picture of the ground: an arrow, a logo
-DRAWN = 0.005  # share of the margin that is not paper, below which nothing is drawn on it: it is a plain border
+LETTERED = 0.005  # share of the margin that is not paper, below which nothing is drawn on it: it is a plain border
 
-BEYOND = STROKE + NARROW  # [px] of paper beyond its sides, so that lettering near these is enclosed too
-_BEYOND = {
-    "top": np.s_[:BEYOND, BEYOND:-BEYOND],
-    "bottom": np.s_[-BEYOND:, BEYOND:-BEYOND],
-    "left": np.s_[:, :BEYOND],
-    "right": np.s_[:, -BEYOND:],
+PAPER_BEYOND = STROKE + NARROW_STRIP  # [px] of paper beyond its sides, so that lettering near these is enclosed too
+_SIDE = {
+    "top": np.s_[:PAPER_BEYOND, PAPER_BEYOND:-PAPER_BEYOND],
+    "bottom": np.s_[-PAPER_BEYOND:, PAPER_BEYOND:-PAPER_BEYOND],
+    "left": np.s_[:, :PAPER_BEYOND],
+    "right": np.s_[:, -PAPER_BEYOND:],
 }
 
 Read = Callable[[Window, tuple[int, int]], np.ndarray]
@@ -52,8 +53,7 @@ class Margin:
     @property
     def share(self) -> float:
         """Share of the sheet that is margin."""
-        whole = Window(0, 0, self.width, self.height)
-        return float(self.at(whole, (self.height, self.width)).mean())
+        return float(self.at(Window(0, 0, self.width, self.height), _reduced(self.width, self.height)).mean())
 
     def at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
         """Bool of shape `out`: where the `window`, resampled to that shape, shows the margin."""
@@ -78,22 +78,27 @@ def margin_of(width: int, height: int, read: Read) -> Margin | None:
     touching = [side for side, colours in sides.items() if _flat_share(colours, paper) >= FLAT_SIDE]
     if not touching:
         return None
-    reduced = min(1.0, LONGEST / max(width, height))
-    out = max(1, round(height * reduced)), max(1, round(width * reduced))
+    out = _reduced(width, height)
     flat = _is(read(Window(0, 0, width, height), out), paper)
     pictures = _pictures(flat, touching)
     rows, columns = out
     # The edge of a picture may be uneven, as that of the ground below a white sky.
     apart = Margin(columns, rows, pictures + STROKE * np.array([-1, -1, 1, 1]))
     well_outside = apart.at(Window(0, 0, columns, rows), out)
-    if not well_outside.any() or np.mean(~flat[well_outside]) < DRAWN:
+    if not well_outside.any() or np.mean(~flat[well_outside]) < LETTERED:
         return None
     return Margin(width, height, pictures * (np.array([width, height] * 2) / np.array([columns, rows] * 2)))
 
 
+def _reduced(width: int, height: int) -> tuple[int, int]:
+    """Rows and columns of the reduced picture."""
+    factor = min(1.0, REDUCED_SIDE / max(width, height))
+    return max(1, round(height * factor)), max(1, round(width * factor))
+
+
 def _sides(width: int, height: int, read: Read) -> dict[str, np.ndarray]:
     """By side of the picture (PATCHES, 3) colours of the patches along it, NaN where a patch is not of one colour."""
-    long, deep = PATCH
+    long, deep = EDGE_PATCH
     lying, standing = (min(long, width), min(deep, height)), (min(deep, width), min(long, height))
 
     def colour(at: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
@@ -113,13 +118,13 @@ def _sides(width: int, height: int, read: Read) -> dict[str, np.ndarray]:
 
 def _paper(colours: np.ndarray) -> np.ndarray | None:
     """(3,) the colour of the paper among those of patches (N, 3); None if none is so light."""
-    light = colours[(colours >= PAPER).all(1)]
+    light = colours[(colours >= PAPER_GREY).all(1)]
     return np.median(light, axis=0) if len(light) else None
 
 
 def _is(colours: np.ndarray, paper: np.ndarray) -> np.ndarray:
     """Bool: which of the colours (..., 3) are the `paper`'s; NaN is not."""
-    return (np.abs(colours - paper) <= FLAT).all(-1)
+    return (np.abs(colours - paper) <= ONE_COLOUR).all(-1)
 
 
 def _flat_share(colours: np.ndarray, paper: np.ndarray) -> float:
@@ -132,14 +137,14 @@ def _pictures(flat: np.ndarray, touching: list[str]) -> np.ndarray:
 
     Bright ground at its edge looks like paper. So what is taken is the whole rectangle that encloses a picture.
     """
-    sheet = np.pad(flat.astype(np.uint8), BEYOND)
+    sheet = np.pad(flat.astype(np.uint8), PAPER_BEYOND)
     for side in touching:
-        sheet[_BEYOND[side]] = 1
+        sheet[_SIDE[side]] = 1
     lettering_closed = cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, np.ones((STROKE, STROKE), np.uint8))
-    wide = cv2.morphologyEx(lettering_closed, cv2.MORPH_OPEN, np.ones((NARROW, NARROW), np.uint8))
+    wide = cv2.morphologyEx(lettering_closed, cv2.MORPH_OPEN, np.ones((NARROW_STRIP, NARROW_STRIP), np.uint8))
     labels = cv2.connectedComponents(wide)[1]
-    outside = np.unique(np.concatenate([labels[_BEYOND[side]].ravel() for side in touching]))
-    ground = ~np.isin(labels, outside[outside > 0])[BEYOND:-BEYOND, BEYOND:-BEYOND]
+    outside = np.unique(np.concatenate([labels[_SIDE[side]].ravel() for side in touching]))
+    ground = ~np.isin(labels, outside[outside > 0])[PAPER_BEYOND:-PAPER_BEYOND, PAPER_BEYOND:-PAPER_BEYOND]
     left, top, width, height, area = cv2.connectedComponentsWithStats(ground.astype(np.uint8))[2][1:].T
     # A pixel more: those at the edge are of both.
     found = np.column_stack([left - 1, top - 1, left + width + 1, top + height + 1])
