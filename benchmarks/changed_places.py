@@ -30,6 +30,13 @@ from places import Scene, called, measured, scenes  # noqa: E402
 from support.simulate import table  # noqa: E402
 
 AS_THEY_ARE = "as they are"
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+LEGEND = (
+    "ORTHOPHOTO PLAN  SHEET 12 OF 40   PROJECT: NORTH PARKING AREA, PHASE II",
+    "Datum WGS84 / UTM  Scale 1:500  Drawn by: A. Miller  Checked by: B. Schmidt  2024-05-11",
+    "Legend: existing kerb, proposed drainage, property boundary, fire hydrant, manhole, street light",
+    "All dimensions in metres unless otherwise noted. Contractor to verify all levels on site.",
+)
 
 
 def _resized(pixels: np.ndarray, factor: float, way: int) -> np.ndarray:
@@ -81,6 +88,40 @@ def _of_video(pixels: np.ndarray) -> np.ndarray:
     return last
 
 
+def _on_a_sheet(pixels: np.ndarray) -> np.ndarray:
+    """On a map sheet: white paper all around, a frame, coordinates above and lines of text below."""
+    height, width = pixels.shape[:2]
+    sheet = cv2.copyMakeBorder(pixels, 60, 220, 60, 60, cv2.BORDER_CONSTANT, value=WHITE)
+    cv2.rectangle(sheet, (20, 20), (width + 100, height + 260), BLACK, 2)
+    for x in range(60, width, 100):
+        _write(sheet, f"{10 * x}", x, 45)
+    for line, text in enumerate(LEGEND):
+        for x in range(60, width, 900):
+            _write(sheet, text, x, height + 110 + 40 * line)
+    return sheet
+
+
+def _watermarked(pixels: np.ndarray) -> np.ndarray:
+    """With pale names all over, as previews have them."""
+    marked = pixels.copy()
+    for row, y in enumerate(range(40, len(pixels), 160)):
+        for x in range(row % 2 * 120, pixels.shape[1], 320):
+            _write(marked, "(c) Imagery", x, y, WHITE, 0.7, 2)
+    return cv2.addWeighted(pixels, 0.55, marked, 0.45, 0)
+
+
+def _write(
+    picture: np.ndarray,
+    text: str,
+    x: int,
+    y: int,
+    colour: tuple[int, int, int] = BLACK,
+    size: float = 0.5,
+    stroke: int = 1,
+) -> None:
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, colour, stroke, cv2.LINE_AA)
+
+
 # Name: by what factor the copy is larger than the picture, and the function that makes it.
 CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     AS_THEY_ARE: (1, lambda p: p),
@@ -103,6 +144,8 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     "screenshot of a screenshot": (
         1.3, lambda p: _jpeg(_resized(_jpeg(_resized(p, 0.8, cv2.INTER_LINEAR), 60), 1.625, cv2.INTER_LINEAR), 60)
     ),
+    "on a map sheet": (1, _on_a_sheet),
+    "with a watermark": (1, _watermarked),
 }  # fmt: skip
 
 

@@ -535,9 +535,9 @@ def test_names_of_a_system_that_is_not_in_utf_8(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
-    path = make(tmp_path / "a.tif", compress="deflate", blockysize=10)
+    path = make(tmp_path / "a.tif", compress="deflate", tiled=True, blockxsize=16, blockysize=16)
     with rasterio.open(path) as d:
-        offset = int(d.get_tag_item("BLOCK_OFFSET_0_9", "TIFF", bidx=1))
+        offset = int(d.get_tag_item("BLOCK_OFFSET_5_5", "TIFF", bidx=1))
     data = bytearray(path.read_bytes())
     data[offset : offset + 400] = b"\xff" * 400
     path.write_bytes(data)

@@ -33,7 +33,8 @@ from .georeference import CopyGeoreference, claim_of, kept_place, local_place, o
 from .raster_blocks import RasterBlocks
 from .raster_copy import SCALE_TAG, Original
 from .raster_display import EXPORT_BITS, Display
-from .raster_notes import of_copy, of_image
+from .raster_margin import margin_of
+from .raster_notes import of_copy, of_image, of_margin
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them too, or write the VRT again."
@@ -82,7 +83,8 @@ class RasterSource:
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
         self._blocks = RasterBlocks.of(path, dataset)
-        self._read_last()
+        if not self._blocks.in_order:  # else it is decoded to its end where its margin is looked for
+            self._read_last()
         self._display = Display.of(path, dataset, self._blocks.in_order, self._damage)
         self.notes += self._display.notes
         self._overviews = dataset.overviews(self._display.bands[0])
@@ -90,15 +92,18 @@ class RasterSource:
         self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, after the first read, a copy of it in blocks
+        self._margin = margin_of(self.width, self.height, self._read)
         self.claimed = claim_of(dataset, projection)
         self.by_orthoscale = SCALE_TAG in dataset.tags()
         self.notes += of_image(dataset, self.claimed, other_claims(path, dataset, self.claimed))
+        if self._margin is not None:
+            self.notes.append(of_margin(self._margin))
 
     @classmethod
     def open(cls, path: str | Path) -> RasterSource:
         """Open an image: GeoTIFF, COG, JPEG, PNG, JPEG 2000, VRT, or whatever else this GDAL reads.
 
-        Its last block is read too, because a truncated file often opens well.
+        Blocks along its sides are read too, because a truncated file often opens well.
 
         Raises InputError when the file is missing, a folder, empty, no image, damaged, or useless (no colour band,
         complex numbers, less than 32 px wide).
@@ -226,7 +231,8 @@ class RasterSource:
         """RGB uint8 (out_height, out_width, 3) of the window at (x, y) with `width` x `height` px, resampled.
 
         Shrinking averages (overviews are used where the file has them), enlarging is bicubic; pixels without data
-        (nodata, alpha or mask) are grey (114). Other depths than 8 bit are stretched, see `notes`.
+        (nodata, alpha or mask, and the margin of a map sheet) are grey (114). Other depths than 8 bit are stretched,
+        see `notes`.
 
         Raises ValueError for a window that is not inside the image, InputError when the file is damaged there.
         """
@@ -235,24 +241,34 @@ class RasterSource:
         if min(width, height, out_width, out_height) < 1:
             raise ValueError(f"empty window: {width} x {height} to {out_width} x {out_height} px")
         window, out = Window(x, y, width, height), (out_height, out_width)
-        resampling = Resampling.average if out_width * out_height < width * height else Resampling.cubic
-        with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
+        with self._lock:
             if self._needs_blocks:
                 self._copy_into_blocks()
-            rgb = self._read_unmixed(window, out) if self._display.unmixed else self._shown(window, out, resampling)
-            if self._masked:
-                how = Resampling.average if resampling == Resampling.average else Resampling.nearest
-                known = self._read_from.dataset_mask(window=window, out_shape=out, resampling=how)
-                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
-            if self._blocks.written is not None:
-                rgb = np.where(self._blocks.written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
-        return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
+            rgb = self._read(window, out)
+        if self._margin is not None:
+            rgb = np.where(self._margin.at(window, out)[..., None], np.uint8(NO_DATA_GREY), rgb)
+        return np.ascontiguousarray(rgb)
 
     def decoded_px(self, width: int, height: int, out_width: int, out_height: int) -> float:
         """How many pixels `read` decodes for such a window: fewer where an overview is coarse enough already."""
         shrink = min(width / out_width, height / out_height)
         factor = max([f for f in self._overviews if f <= shrink], default=1)
         return width * height / factor**2
+
+    def _read(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """`read`, of a sheet's margin too."""
+        shrinking = out[0] * out[1] < window.width * window.height
+        resampling = Resampling.average if shrinking else Resampling.cubic
+        (top, bottom), (left, right) = window.toranges()
+        with self._damage(f"at x {left}..{right}, y {top}..{bottom}"):
+            rgb = self._read_unmixed(window, out) if self._display.unmixed else self._shown(window, out, resampling)
+            if self._masked:
+                how = Resampling.average if shrinking else Resampling.nearest
+                known = self._read_from.dataset_mask(window=window, out_shape=out, resampling=how)
+                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
+            if self._blocks.written is not None:
+                rgb = np.where(self._blocks.written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
+        return np.broadcast_to(rgb, (*out, 3))
 
     def _shown(self, window: Window, out: tuple[int, int], resampling: Resampling) -> np.ndarray:
         """(*out, 3 or 1) uint8 of the window."""

@@ -8,12 +8,13 @@ from collections.abc import Iterator, Sequence
 from rasterio.io import DatasetReader
 
 from ..core.claims import NO_PROOF
-from ..core.remarks import CAUTION, INFO, Remark
+from ..core.remarks import CAUTION, INFO, Remark, percent
 from ..core.source import Placement
 from ..errors import shown
 from ..formats.names import first_few
 from .georeference import Claim
 from .raster_copy import SCALE_TAG, Original
+from .raster_margin import Margin
 
 CAMERA_TAGS = {"EXIF_FocalLength", "EXIF_FocalLengthIn35mmFilm"}  # as GDAL names them; orthophotos have none
 SQUEEZED = 0.05
@@ -49,6 +50,11 @@ def of_image(dataset: DatasetReader, claimed: Claim, others: Sequence[str]) -> I
             "the geometric mean of both sides, is less certain (warp it to UTM first)"
         )
         yield Remark(CAUTION if abs(math.log(aspect)) > SQUEEZED else INFO, text)
+
+
+def of_margin(margin: Margin) -> Remark:
+    """What to say of the margin of a map sheet."""
+    return Remark(INFO, f"a map sheet: its margin, {percent(margin.share)} of it, is not searched for vehicles")
 
 
 def of_copy(copy: str, original: Original, place: Placement, cog: bool) -> Iterator[str]:
