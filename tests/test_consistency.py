@@ -326,7 +326,7 @@ def test_a_long_file_of_tracks_is_read_in_places(tmp_path, monkeypatch):
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
     path = opensfm(model, tmp_path)
     tracks(model, tmp_path / "tracks.csv")
-    monkeypatch.setattr("orthoscale.sources.json_model.WHOLE", 0)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_WHOLE", 0)
     monkeypatch.setattr("orthoscale.sources.json_model.READ_BYTES", 512)
     notes = [str(note) for note in open_source(path, need_images=False).notes]
     assert not any("no observations" in note or "left out" in note for note in notes)
@@ -345,7 +345,7 @@ def test_an_image_that_a_sample_of_the_tracks_misses_is_not_left_out(tmp_path, m
         model.delete_observation(image.image_id, k)
     path = opensfm(model, tmp_path)
     tracks(model, tmp_path / "tracks.csv")
-    monkeypatch.setattr("orthoscale.sources.json_model.WHOLE", 0)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_WHOLE", 0)
     monkeypatch.setattr("orthoscale.sources.json_model.READ_AT", 1)
     monkeypatch.setattr("orthoscale.sources.json_model.READ_BYTES", 1024)
     source = open_source(path, need_images=False)

@@ -37,7 +37,7 @@ from .one_file import OneFileSource
 if TYPE_CHECKING:
     import pycolmap
 
-WHOLE = 4e6  # [bytes] up to which a file of tracks is read whole: some 40,000 observations
+READ_WHOLE = 4e6  # [bytes] up to which a file of tracks is read whole: some 40,000 observations
 # A longer one is read at READ_AT places for each image, READ_BYTES each, which is some 40 observations.
 READ_AT, READ_BYTES = 4, 4096
 GPS_DOP = 1000.0  # a DOP from which OpenSfM means that there was no GPS
@@ -173,7 +173,7 @@ def _tracks_of(path: Path) -> Path:
 
 def _read_whole(path: Path) -> bool:
     """Whether the file `path` is so short that it is read whole; also if there is none."""
-    return not path.exists() or path.stat().st_size <= WHOLE
+    return not path.exists() or path.stat().st_size <= READ_WHOLE
 
 
 def _some_lines(path: Path, places: int) -> Iterator[str]:
