@@ -45,8 +45,8 @@ MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothin
 # the decimetres between antenna and camera, which no residual shows. A judgement.
 LEAST_EXTENT = 10.0
 BY_ROUNDING = 1e-6  # relative size of what differs by rounding only
-# Altitudes are mirrored if with the other sign, from some height down, they vary less against the heights of the cameras
-# than this share of how they do as told. A judgement: errors alone do so in one flight at one height of 3,000 with twelve
+# Altitudes are mirrored if with the other sign, from some height down, they vary less against the cameras' heights than
+# this share of how they do as told. A judgement: errors alone do so in one flight at one height of 3,000 with twelve
 # frames, of 30 with six.
 MIRRORED = 0.25
 UNFIT = "they do not fit its cameras"
