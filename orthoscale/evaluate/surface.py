@@ -19,7 +19,7 @@ RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, from the lowest, whose mean is the ground: roofs and crowns lie above
 # What models without a nodata value store where there is no height: Esri's and GDAL's -9999, DTED's -32767, SRTM's
 # -32768; and the least height that counts as one [m]: no open pit is deeper below the sea (a judgement).
-NO_HEIGHT, LOWEST = (-9999.0, -32767.0, -32768.0), -1000.0
+NO_HEIGHT, LEAST_HEIGHT = (-9999.0, -32767.0, -32768.0), -1000.0
 # [m] units of heights, by the letters of their names in GDAL, PROJ and Esri's programs.
 HEIGHT_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
@@ -87,7 +87,7 @@ class Surface:
         stored = heights[near].compressed().astype(float)
         stored = stored[~np.isin(stored, NO_HEIGHT)]
         known = np.sort(self._unit * (stored * self._dataset.scales[0] + self._dataset.offsets[0]))
-        known = known[np.isfinite(known) & (known > LOWEST)]
+        known = known[np.isfinite(known) & (known > LEAST_HEIGHT)]
         if not len(known):
             return None
         return float(known[: max(1, round(LOWEST_SHARE * len(known)))].mean())
