@@ -44,6 +44,8 @@ EDITED = "tests/test_outputs_guard.py::test_a_file_that_was_edited_is_not_replac
 UNITED = (
     "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
 )
+CONSISTENT = "tests/test_consistency.py::"
+FLIGHT = f"{CONSISTENT}test_other_programs_frames_of_another_flight"
 MUTANTS = (
     Mutant("system/signatures.py", "kept = content[len(content) - len(text) + 1 :]", 'kept = b""', EDITED),
     Mutant("system/signatures.py", "all(crc != _crc(file, place)", "all(not crc", EDITED),
@@ -476,6 +478,56 @@ MUTANTS = (
         "log_scale[scale.used].mean() if",
         "log_scale.mean() if",
         "tests/test_vehicle_sizes.py::test_how_far_a_vehicle_is_off_is_told_from_the_mean_of_those_that_count",
+    ),
+    Mutant(
+        "sources/json_model.py",
+        "if _read_whole(_tracks_of(path)) else",
+        "if True else",
+        f"{CONSISTENT}test_an_image_that_a_sample_of_the_tracks_misses_is_not_left_out",
+    ),
+    Mutant("sources/json_model.py", "notes += check_frames(", "check_frames(", FLIGHT),
+    Mutant("sources/text_model.py", "notes += check_frames(", "check_frames(", FLIGHT),
+    Mutant(
+        "evaluate/surface.py",
+        "stored[~np.isin(stored, NO_HEIGHT)]",
+        "stored",
+        "tests/test_evaluate.py::test_what_marks_no_height_is_known_as_it_is_stored",
+    ),
+    Mutant(
+        "core/gps.py",
+        "np.arange(len(heights) + 1)",
+        "(0, len(heights))",
+        "tests/test_gps.py::test_altitudes_across_the_level_of_the_sea_without_a_sign",
+    ),
+    Mutant(
+        "sources/cloud_fit.py",
+        "self.on >= OWN_SHARE * self.near",
+        "self.dense",
+        "tests/test_cloud_fit.py::test_a_thin_cloud_that_lies_on_the_points_is_the_models_own",
+    ),
+    Mutant(
+        "sources/georeference.py",
+        "x, y = width / 2, height / 2",
+        "x, y = width / 3, height / 3",
+        "tests/test_raster.py::test_a_claim_is_that_of_the_middle",
+    ),
+    Mutant(
+        "sources/georeference.py",
+        "abs(size / gsd - 1) > 0.002",
+        "abs(size / gsd + 1) > 0.002",
+        "tests/test_raster.py::test_a_unit_is_said_where_it_is_none_of_the_ground",
+    ),
+    Mutant(
+        "sources/tags.py",
+        "exif.get(0xA210)",
+        "None",
+        "tests/test_photo.py::test_the_unit_of_the_resolution_on_the_sensor",
+    ),
+    Mutant(
+        "sources/tags.py",
+        "in (5, 6, 7, 8)",
+        "in (6, 7, 8)",
+        "tests/test_photo.py::test_a_quarter_turn_that_exif_asks_for_is_said",
     ),
 )
 

@@ -65,7 +65,7 @@ def test_the_margin_is_within_what_is_said_of_it(ruler):
         stray = np.exp(rng.multivariate_normal([0, 0], fleet.log_mean_covariance + ruler.common_sd**2))
         sizes = fleet.sample(rng, 80)[:, :2] * stray
         looks = looks_at(sizes, margin, np.array([2.0, 1.2]), rng)
-        got, fits, sizes = measure_ruler(looks, ZOOMS, GSD, fleet, ruler)
+        got, fits, sizes, _ = measure_ruler(looks, ZOOMS, GSD, fleet, ruler)
         pulls.append((np.array(got.margin) - margin) / got.margin_sd)
         assert len(sizes) > 60 and fits[0].margin == got.margin[0]
     spread = np.sqrt(np.mean(np.square(pulls), axis=0))
@@ -85,7 +85,7 @@ def test_sizes_are_known_no_better_than_what_all_boxes_share(ruler):
         stray = np.exp(rng.multivariate_normal([0, 0], fleet.log_mean_covariance))
         true = fleet.sample(rng, 80)[:, :2] * stray
         drawn = np.exp(rng.normal(0, ruler.bias_sd) + rng.normal(0, ruler.common_sd))
-        _, fits, sizes = measure_ruler(
+        _, fits, sizes, _ = measure_ruler(
             looks_at(true * drawn, margin, np.array([2.0, 1.2]), rng), ZOOMS, GSD, fleet, ruler
         )
         known = np.array([fit.size_sd / fit.size for fit in fits])
@@ -113,6 +113,15 @@ def test_vehicles_of_another_scale_are_refused():
     looks = looks_at(load_fleet("DE").sample(rng, 60)[:, :2] * 2, 0.0, 1.0, rng)
     with pytest.raises(InputError, match="would be"):
         measure_ruler(looks, ZOOMS, GSD, load_fleet("DE"), Ruler())
+
+
+@pytest.mark.parametrize(("factor", "said"), [(0.8, "-"), (0.95, ""), (1.05, ""), (1.25, "+")])
+def test_vehicles_of_a_scale_that_is_somewhat_wrong_are_said(factor, said):
+    """A ruler measured at a scale 20 % off was written without a word."""
+    rng = np.random.default_rng(0)
+    looks = looks_at(load_fleet("DE").sample(rng, 200)[:, :2] * factor, 0.0, 1.0, rng)
+    _, _, _, doubts = measure_ruler(looks, ZOOMS, GSD, load_fleet("DE"), Ruler())
+    assert [f"fleet DE by {said}" in doubt and "check the scale" in doubt for doubt in doubts] == [True] * bool(said)
 
 
 def test_a_local_fleet_has_the_sizes_that_were_measured_without_their_noise():

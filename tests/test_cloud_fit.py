@@ -66,6 +66,15 @@ def test_a_part_of_its_cloud_is_the_models_own(scene, cut):
     assert fit.own and not fit.another and "too few" not in fit.said, fit
 
 
+def test_a_thin_cloud_that_lies_on_the_points_is_the_models_own(scene):
+    """It was called doubtful although every point lay on it: thinned by a grid, say."""
+    sparse, centres, _ = scene
+    rng = np.random.default_rng(3)
+    fit = cloud_fit(sparse, centres, [sparse[::2] + rng.normal(0, 0.001 * HEIGHT, (len(sparse[::2]), 3))])
+    assert fit.own and not fit.another and "too few" not in fit.said, fit
+    assert not cloud_fit(sparse, centres, [1.05 * sparse[::2]]).own
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -21,7 +21,7 @@ import numpy as np
 import pycolmap
 import pytest
 import rasterio
-from support.models import make_model, patched, put_frames, save
+from support.models import draw_points, make_model, patched, put_frames, save
 
 from orthoscale.core.remarks import CAUTION, REFUSAL, Remark
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
@@ -464,20 +464,6 @@ def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
     put_frames(plain, tmp_path / "images", size)
     with pytest.raises(InputError, match=hint):
         ColmapSource.open(model_bin)
-
-
-def draw_points(model, image, place, k1=0.05):
-    """A frame with the points of `image` in their colours, as the lens of `make_model` with this k1 shows them."""
-    frame = np.full((480, 640, 3), 90, np.uint8)
-    camera = pycolmap.Camera(model.camera(image.camera_id).todict())
-    camera.params = [*camera.params[:4], k1, *camera.params[5:]]
-    for seen in image.points2D:
-        if seen.has_point3D():
-            point = model.points3D[seen.point3D_id]
-            x, y = camera.img_from_cam((image.cam_from_world() * point.xyz)[None])[0].astype(int).tolist()
-            cv2.circle(frame, (x, y), 4, point.color[::-1].tolist(), -1)
-    place.parent.mkdir(exist_ok=True)
-    cv2.imwrite(str(place), frame)
 
 
 @pytest.mark.parametrize(("k1", "said"), [(0.05, None), (-0.05, "smaller than the model's"), (0.2, "larger than")])

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from support.models import make_model, patched, put_frames, save
+from support.models import draw_points, make_model, patched, put_frames, save
 from support.other_programs import LENS, bundler, nerfstudio, nvm, opensfm
 
+from orthoscale.core.remarks import REFUSAL
 from orthoscale.errors import InputError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
@@ -271,6 +272,23 @@ def test_other_programs_leave_such_images_too(tmp_path, writer):
 
 
 @pytest.mark.parametrize("writer", [bundler, nvm, opensfm])
+def test_other_programs_frames_of_another_flight(tmp_path, writer):
+    """Of the same names and sizes. They gave a scale without a word, as frames of COLMAP's models do not."""
+    lens = ("SIMPLE_PINHOLE", (400, 320, 240)) if writer is nvm else ("RADIAL", (400, 320, 240, LENS["k1"], LENS["k2"]))
+    model = make_model(*lens)[0]
+    path = writer(model, tmp_path)
+    tracks(model, tmp_path / "tracks.csv")
+    images = list(model.images.values())
+    for image, other in zip(images, images[1:] + images[:1], strict=True):
+        for place, name in (("own", image.name), ("another", other.name)):
+            draw_points(model, image, tmp_path / place / name)
+    assert open_source(path, tmp_path / "own").notes == []
+    (note,) = open_source(path, tmp_path / "another").notes
+    assert note.severity == REFUSAL and "may be of another flight" in note.text
+    assert open_source(path, tmp_path / "another", need_images=False).notes == []
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm, opensfm])
 def test_other_programs(tmp_path, writer):
     """Sound, then with a focal length of 1.5 times; and without tracks, which is said."""
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
@@ -308,9 +326,30 @@ def test_a_long_file_of_tracks_is_read_in_places(tmp_path, monkeypatch):
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
     path = opensfm(model, tmp_path)
     tracks(model, tmp_path / "tracks.csv")
-    monkeypatch.setattr("orthoscale.sources.json_model.READ_AT", 60)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_WHOLE", 0)
     monkeypatch.setattr("orthoscale.sources.json_model.READ_BYTES", 512)
-    assert not any("nothing shows" in note for note in map(str, open_source(path, need_images=False).notes))
+    notes = [str(note) for note in open_source(path, need_images=False).notes]
+    assert not any("no observations" in note or "left out" in note for note in notes)
+    text = json.loads(path.read_text())
+    text[0]["shots"]["03.png"]["translation"][0] += 1.0
+    path.write_text(json.dumps(text))
+    with pytest.raises(InputError, match=r"image 03\.png are projected"):
+        open_source(path, need_images=False)
+
+
+def test_an_image_that_a_sample_of_the_tracks_misses_is_not_left_out(tmp_path, monkeypatch):
+    """It has enough of them to hold it. Of 1,500 images a third was left out."""
+    model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
+    image = next(image for image in model.images.values() if image.name == "03.png")
+    for k in np.flatnonzero([point.has_point3D() for point in image.points2D])[32:].tolist():
+        model.delete_observation(image.image_id, k)
+    path = opensfm(model, tmp_path)
+    tracks(model, tmp_path / "tracks.csv")
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_WHOLE", 0)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_AT", 1)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_BYTES", 1024)
+    source = open_source(path, need_images=False)
+    assert len(source.picture_names) == 12 and not any("left out" in str(note) for note in source.notes)
 
 
 def test_what_has_no_tracks_says_so(tmp_path):

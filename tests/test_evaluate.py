@@ -145,6 +145,37 @@ def test_ground_in_the_unit_that_the_model_tells(tmp_path, crs, told, height):
     with Surface.open(tmp_path / "dsm.tif") as surface:
         assert surface.ground(lon[0], lat[0]) == pytest.approx(height, rel=1e-7)
         assert surface.ground(lon[1], lat[1]) < height / 2
+        assert bool(surface.note) == ("+" not in crs and "units" not in told), "said where nothing tells the unit"
+        assert not surface.note or "US survey foot" in surface.note and "taken for metres" in surface.note
+
+
+@pytest.mark.parametrize("mark", [-9999, -32767, -32768])
+def test_what_marks_no_height_is_known_as_it_is_stored(tmp_path, mark):
+    """By a scale it became a height: -9999 is -100 m in centimetres. What it stands for may be one, of others."""
+    stored = np.full((300, 300), 12_345, np.int16)
+    stored[:, ::3] = mark
+    stored[::4] = -1500  # 15 m below the sea
+    grid = Affine(2, 0, 500_000, 0, -2, 5_000_000)
+    with rasterio.open(tmp_path / "dsm.tif", "w", "GTiff", 300, 300, 1, "EPSG:32632", grid, "int16") as out:
+        out.write(stored, 1)
+        out.scales = (0.01,)
+    lon, lat = to_degrees("EPSG:32632").transform(500_300, 4_999_700)
+    with Surface.open(tmp_path / "dsm.tif") as surface:
+        assert surface.ground(lon, lat) == pytest.approx(-15.0) and not surface.note
+
+
+def test_an_assumed_unit_of_heights_is_said(folders, tmp_path):
+    shutil.copytree(folders / "visloc", tmp_path / "v")
+    path = tmp_path / "v/01/region01_dsm.tif"
+    with rasterio.open(path) as model:
+        heights, grid = model.read(1), model.transform
+    path.unlink()
+    crs = "+proj=utm +zone=32 +datum=WGS84 +units=us-ft"
+    with rasterio.open(path, "w", "GTiff", *heights.shape[::-1], 1, crs, grid, "float32") as out:
+        out.transform = Affine.scale(3937 / 1200) * grid
+        out.write(heights, 1)
+    _, notes = read_samples(tmp_path / "v")
+    assert [note for note in notes if str(path) in note and "taken for metres" in note]
 
 
 def test_a_model_in_an_unknown_unit_is_refused(tmp_path):

@@ -222,6 +222,19 @@ def test_altitudes_that_fall_where_the_cameras_rise_are_noticed():
         assert not mirrored(path, heights, 400 + level + errors[1])
 
 
+@pytest.mark.parametrize("sea", [0.1, 0.3, 0.5, 0.9])
+def test_altitudes_across_the_level_of_the_sea_without_a_sign(sea):
+    """Of a flight down a slope: they fall with the cameras, and rise again where these go on falling."""
+    path, rng = lawnmower(40, 150), np.random.default_rng(5)
+    slope = 0.2 * path[:, 0] + 0.1 * path[:, 1] + 4 * np.sin(path[:, 0] / 20)
+    tilt = path @ (0.02, -0.03)
+    true = slope - np.quantile(slope, sea) + rng.normal(0, 0.2, len(path))
+    assert mirrored(path, 60 + slope + tilt, np.abs(true))
+    assert not mirrored(path, 60 + slope + tilt, true), "with their signs"
+    assert not mirrored(path, 60 + slope + tilt, np.abs(true - true.min())), "above the sea"
+    assert not mirrored(path, 60 + rng.normal(0, 1, len(path)), np.abs(rng.normal(0, 1, len(path)))), "errors alone"
+
+
 def test_mirrored_altitudes_do_not_count(tmp_path, monkeypatch):
     monkeypatch.setattr(positions, "mirrored", lambda *flight: True)
     tagged(tmp_path, 25.0, bowl=2e-4)

@@ -445,6 +445,18 @@ def test_check_agrees_disagrees_and_says_so(tmp_path, boxes):
     assert found["claimed"] == pytest.approx(GSD / 0.3048, rel=1e-3)
 
 
+def test_check_knows_a_map_that_stretches_the_ground(tmp_path, boxes):
+    """Ground metres as the pixel size of Web Mercator at 60 degrees: "perhaps the image was halved", it said."""
+    mercator = Affine(GSD, 0, 1_000_000, 0, -GSD, 8_399_738)
+    path = picture(tmp_path / "a.tif", crs="EPSG:3857", transform=mercator)
+    done = check(path, "--detections", boxes, "--fleet", "DE", "--json")
+    (found,) = json.loads(done.stdout)["comparisons"]
+    assert done.exit_code == 4 and "Pseudo-Mercator needs it 2 times as large there" in found["guesses"][0]
+    path = picture(tmp_path / "a.tif", crs="EPSG:3857", transform=mercator * Affine.scale(2))
+    done = check(path, "--detections", boxes, "--fleet", "DE", "--json")
+    assert done.exit_code == 0 and not json.loads(done.stdout)["comparisons"][0]["guesses"]
+
+
 def test_check_of_a_scale_that_contradicts_itself_is_no_agreement(tmp_path, boxes):
     """A known distance half as long again as the vehicles say: neither agrees with a claim between the two."""
     path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM * Affine.scale(1.36))
@@ -456,7 +468,10 @@ def test_check_of_a_scale_that_contradicts_itself_is_no_agreement(tmp_path, boxe
 
 def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
     scale = Scale(0.10, "m/px", (0.09, 0.15), {"sampling": 0.12}, {}, (1, 0), 0.0, "DE", "fair", np.ones(9, bool), [])
-    claims = [SimpleNamespace(gsd_m=gsd, usable=True, unit_known=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
+    claims = [
+        SimpleNamespace(gsd_m=gsd, usable=True, unit_known=True, why="", mistakes=())
+        for gsd in (0.088, 0.092, 0.145, 0.155)
+    ]
     found = [own_claim(SimpleNamespace(claimed=claim), scale).verdict for claim in claims]
     assert found == ["doubtful", "agrees", "agrees", "doubtful"]
 
@@ -468,13 +483,13 @@ def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
 def test_what_a_claim_is_compared_with_is_named_as_people_list_things(kinds, by):
     scale = Scale(0.10, "m/px", (0.09, 0.11), dict.fromkeys(["sampling", *kinds], 0.05), {}, (9, 0), 0.0, "DE", "fair",
                   np.ones(9, bool), [], evidence=tuple(Evidence(kind, 0.1, 0.05, "") for kind in kinds))  # fmt: skip
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.1, usable=True, unit_known=True, why=""))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.1, usable=True, unit_known=True, why="", mistakes=()))
     assert own_claim(claim, scale).by == by
 
 
 def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
     """As the paper's estimator gives of boxes that are all alike, or of few that differ much."""
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, unit_known=True, why=""))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, unit_known=True, why="", mistakes=()))
     every = np.ones(5, bool)
     for low, high, parts, verdict in (
         (0.1, 0.1, {"sampling": 0.0}, "disagrees"),
@@ -486,7 +501,7 @@ def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
 
 def test_a_scale_that_is_of_no_use_contradicts_no_claim():
     """Its boxes may be no vehicles: 0.22 m/px by a factor at which there were none, where the file says 0.097."""
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.097, usable=True, why="", unit_known=True))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.097, usable=True, why="", unit_known=True, mistakes=()))
     every = np.ones(18, bool)
     for word, verdict in (("poor", "disagrees"), ("unusable", "doubtful")):
         scale = Scale(0.22, "m/px", (0.195, 0.25), {"sampling": 0.08}, {}, (1, 0), 0.0, "PH", word, every, [""] * 18)

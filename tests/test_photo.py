@@ -181,6 +181,25 @@ def test_a_pitch_that_is_no_number_is_said(tmp_path, xmp):
     assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is not a number: ignored",)
 
 
+@pytest.mark.parametrize(("unit", "per_mm"), [(None, 100 / 25.4), (2, 100 / 25.4), (3, 10.0), (4, 100.0), (5, 1e5)])
+def test_the_unit_of_the_resolution_on_the_sensor(tmp_path, unit, per_mm):
+    """Inches where none is told, centimetres, millimetres, micrometres."""
+    exif = {0xA20E: 100.0} | ({} if unit is None else {0xA210: unit})
+    assert read_tags(write_photo(tmp_path / "a.jpg", exif=exif)).plane_px_per_mm == pytest.approx(per_mm)
+
+
+@pytest.mark.parametrize(("turn", "told"), [(1, False), (3, False), (4, False), (5, True), (6, True), (8, True)])
+def test_a_quarter_turn_that_exif_asks_for_is_said(tmp_path, turn, told):
+    tags = read_tags(write_photo(tmp_path / "a.jpg", exif={0x0112: turn}))
+    assert (tags.width, tags.height) == SIZE and any("quarter turn" in note for note in tags.notes) == told
+
+
+def test_when_a_photo_was_taken_not_when_it_was_edited(tmp_path):
+    exif = {0x9003: "2026:06:01 12:00:00", 0x9004: "2026:06:02 12:00:00"}
+    assert read_tags(write_photo(tmp_path / "a.jpg", exif=exif)).taken == "2026:06:01 12:00:00"
+    assert read_tags(write_photo(tmp_path / "b.jpg", exif={0x9004: "2026:06:02 12:00:00"})).taken == ""
+
+
 @pytest.mark.parametrize("unknown", [(0, 0), (2**31, 1), (2**32 - 1, 1)])
 def test_a_number_that_is_unknown_or_infinite_is_none(tmp_path, unknown):
     """DJI writes 0/0 where nothing is zoomed, and COLMAP's undistorter makes 80000000/1 of it."""

@@ -35,6 +35,7 @@ from rasterio.transform import Affine
 from orthoscale.core.remarks import CAUTION, Remark
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.formats.degrees import to_degrees
 from orthoscale.sources import gdal
 from orthoscale.sources.fingerprint import Stamp
 from orthoscale.sources.georeference import claim_of
@@ -574,6 +575,23 @@ def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
 def test_usable_claims(tmp_path, crs, transform, gsd):
     claim = RasterSource.open(make(tmp_path / "a.tif", crs=crs, transform=transform)).claimed
     assert claim.usable and claim.gsd_m == pytest.approx(gsd, rel=4e-3 if "32632" not in crs else 1e-5), claim.why
+
+
+def test_a_claim_is_that_of_the_middle(tmp_path):
+    """Of 300 x 200 km of Scandinavia in Web Mercator, which is 4 % larger at its upper edge than at its lower one."""
+    path = make(tmp_path / "a.tif", crs="EPSG:3857", transform=Affine(1000, 0, 1_000_000, 0, -1000, 8_400_000))
+    lon, lat = to_degrees("EPSG:3857").transform(1_000_000 + 500 * W, 8_400_000 - 500 * H)
+    stretch = pyproj.Proj("EPSG:3857").get_factors(lon, lat).areal_scale
+    assert RasterSource.open(path).claimed.gsd_m == pytest.approx(1000 / math.sqrt(stretch), rel=2.5e-3)
+
+
+def test_a_unit_is_said_where_it_is_none_of_the_ground(tmp_path):
+    utm, feet = (
+        RasterSource.open(make(tmp_path / f"{crs[-4:]}.tif", crs=crs, transform=Affine(0.5, 0, east, 0, -0.5, north)))
+        for crs, east, north in (("EPSG:32632", 500_000, 5_400_000), ("EPSG:3734", 2_000_000, 600_000))
+    )
+    assert "per pixel" not in utm.claimed.why and not utm.claimed.mistakes
+    assert "0.5 US survey foot per pixel there" in feet.claimed.why and not feet.claimed.mistakes
 
 
 def test_pixels_that_are_not_square_on_the_ground(tmp_path):

@@ -37,6 +37,7 @@ SMALLEST_PX = 1.0  # smallest size of a box after its margin is subtracted [dete
 # Ratio of the vehicles' mean size to the fleet's from which the given scale must be wrong: the means of the 112 shipped
 # fleets are 0.88 to 1.28 times the world's.
 WRONG_SCALE = 1.4
+DOUBTED = 2.0  # sigmas between those sizes from which it is said: chance makes as much in one calibration of 20
 DISAGREEMENT = 0.02  # relative difference between --gsd and the georeferencing that is worth a note
 
 
@@ -67,7 +68,7 @@ def calibrate(
     zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
     check_zoom(float(zooms.max()), network.card)
     looks = _looks(raster, zooms, network, progress)
-    ruler, fits, sizes = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
+    ruler, fits, sizes, doubts = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
     entry = None
     if local_fleet:
         relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
@@ -84,7 +85,7 @@ def calibrate(
         "zooms": [round(float(z), 4) for z in zooms],
         "size_m": [round(fit.size, 3) for fit in fits],
         "size_sd_m": [round(fit.size_sd, 3) for fit in fits],
-        "notes": notes,
+        "notes": notes + doubts,
     }
     return Calibration(network.card.name, network.sha256, ruler, entry, made_from)
 
@@ -144,13 +145,13 @@ def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
 
 def measure_ruler(
     looks: Sequence[Boxes], zooms: np.ndarray, gsd: float, fleet: Fleet, ruler: Ruler
-) -> tuple[Ruler, tuple[MarginFit, MarginFit], np.ndarray]:
+) -> tuple[Ruler, tuple[MarginFit, MarginFit], np.ndarray, list[str]]:
     """The ruler fitted to boxes of the same vehicles at several resampling factors, with the detector's own `ruler` as
     the prior.
 
     looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px]. Returns the
-    ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError if the
-    sizes do not fit the given scale.
+    ruler, the fits of length and width, the vehicles' sizes (N, 2) [m] by that ruler, and doubts about the given scale.
+    Raises InputError if the sizes cannot be of that scale.
     """
     middle = len(looks) // 2
     pooled = _pooled(looks[middle], zooms[middle], fleet, ruler)
@@ -169,7 +170,10 @@ def measure_ruler(
     # These vehicles' mean differs from the fleet's, and all their boxes may be too large by a common factor.
     stray = np.diag(fleet.log_mean_covariance) + pooled.parts["sampling"] ** 2 + ruler.common_sd**2
     fleet_sd = np.sqrt(stray) * fleet.mean[:2]
-    margin_sd = NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd
+    margin_sd = np.array(NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd)
+    # By how many sigmas length and width differ from the fleet's, as the given scale makes both.
+    sigmas = np.log(seen[middle] / fleet.mean[:2]) / np.hypot(stray**0.5, margin_sd * pixel[middle] / seen[middle])
+    doubts = _doubts(gsd, seen[middle] / fleet.mean[:2], float(sigmas.mean()), fleet)
     fits = [
         fit_margin(
             seen[:, axis] + ruler.margin[axis] * pixel,
@@ -192,7 +196,18 @@ def measure_ruler(
         margin_sd=(length.margin_sd, width.margin_sd),
         noise=box_noise(looks, zooms),
     )
-    return new, (length, width), _sizes(looks[middle], gsd, 1 / zooms[middle], new)
+    return new, (length, width), _sizes(looks[middle], gsd, 1 / zooms[middle], new), doubts
+
+
+def _doubts(gsd: float, ratio: np.ndarray, sigmas: float, fleet: Fleet) -> list[str]:
+    """What to say where the vehicles are `ratio` (2,) times as long and wide as those of `fleet`, off by `sigmas`."""
+    if abs(sigmas) < DOUBTED:
+        return []
+    length, width = (f"{100 * (each - 1):+.0f} %" for each in ratio)
+    return [
+        f"at {gsd:.4g} m/px these vehicles differ from those of fleet {fleet.code} by {length} in length and {width} "
+        f"in width ({abs(sigmas):.1f} sigma): check the scale (--gsd), by which the ruler is wrong too, and the fleet"
+    ]
 
 
 def _sizes(boxes: Boxes, gsd: float, pixel: float, ruler: Ruler) -> np.ndarray:

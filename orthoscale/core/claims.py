@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,7 +49,8 @@ class Comparison:
     recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
     False if nothing in the claim ties it to the ground. why : where the claim comes from. useful : False if the
     recovered scale is too uncertain to use, and so to contradict anything: its boxes may not be vehicles. unit_known
-    : False if nothing says in what unit `claimed` is. unit : of both scales.
+    : False if nothing says in what unit `claimed` is. unit : of both scales. mistakes : those that this claim invites,
+    besides MISTAKES.
     """
 
     claimed_by: str
@@ -61,6 +63,7 @@ class Comparison:
     useful: bool = True
     unit_known: bool = True
     unit: str = PER_PIXEL
+    mistakes: Sequence[tuple[float, str]] = ()
 
     @property
     def ratio(self) -> float:
@@ -87,7 +90,7 @@ class Comparison:
         """Mistakes that would explain a disagreement."""
         if self.verdict in ("agrees", NO_UNIT):
             return []
-        mistakes = MISTAKES if self.unit == PER_PIXEL else UNIT_MISTAKES
+        mistakes = (*self.mistakes, *(MISTAKES if self.unit == PER_PIXEL else UNIT_MISTAKES))
         return [why for factor, why in mistakes if abs(math.log(self.ratio / factor)) <= Z90 * self.sd]
 
     def document(self) -> dict[str, Any]:
@@ -150,6 +153,7 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
         _known_by(scale),
         scale.verdict != UNUSABLE,
         claimed.unit_known,
+        mistakes=claimed.mistakes,
     )
 
 

@@ -51,7 +51,8 @@ class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
     it. unit_known : False if nothing says in what unit `gsd_m` is. why : the reason, for people. crs, transform : the
     georeferencing behind it, None without any. aspect : width over height of a pixel on the ground, 1 if that is not
-    known. mirrored : whether the picture shows the ground mirrored: its rows go north, or its columns west."""
+    known. mirrored : whether the picture shows the ground mirrored: its rows go north, or its columns west. mistakes :
+    that its georeferencing invites, with truth over `gsd_m` where they were made."""
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -69,6 +70,8 @@ class Claim(Protocol):
     def aspect(self) -> float: ...
     @property
     def mirrored(self) -> bool: ...
+    @property
+    def mistakes(self) -> Sequence[tuple[float, str]]: ...
 
 
 class Pictures(Protocol):

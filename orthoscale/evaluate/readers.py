@@ -132,6 +132,8 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
         poses = _read_poses(region / "reference.txt")
         unposed = off_map = 0
         with Surface.open(models[0]) as surface:
+            if surface.note:
+                notes.append(f"{models[0]}: {surface.note}")
             for path in _photos_in(region / "drone"):
                 pose = poses.get(path.name) or poses.get(path.stem)
                 if pose is None:

@@ -17,6 +17,9 @@ from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, from the lowest, whose mean is the ground: roofs and crowns lie above
+# What models without a nodata value store where there is no height: Esri's and GDAL's -9999, DTED's -32767, SRTM's
+# -32768; and the least height that counts as one [m]: no open pit is deeper below the sea (a judgement).
+NO_HEIGHT, LEAST_HEIGHT = (-9999.0, -32767.0, -32768.0), -1000.0
 # [m] units of heights, by the letters of their names in GDAL, PROJ and Esri's programs.
 HEIGHT_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
@@ -26,12 +29,16 @@ HEIGHT_UNITS = {
 
 
 class Surface:
-    """A digital surface model. Open it with `Surface.open`, in a ``with`` block."""
+    """A digital surface model. Open it with `Surface.open`, in a ``with`` block.
+
+    note : what is assumed of the unit of its heights, for the user; empty if the model tells it.
+    """
 
     def __init__(self, dataset: Any, crs: pyproj.CRS):
         self._dataset, self._crs = dataset, crs
         self._to_degrees = to_degrees(crs)
         self._unit = _unit(dataset, crs)
+        self.note = _on_unit(dataset, crs)
 
     @classmethod
     def open(cls, path: Path) -> Surface:
@@ -77,10 +84,10 @@ class Surface:
         y, x = np.indices(heights.shape) + 0.5
         offset = np.linalg.solve(axes, np.stack([x.ravel() + x0 - cx, y.ravel() + y0 - cy]))
         near = (np.hypot(*offset) <= RADIUS).reshape(heights.shape)
-        # Models without a nodata value have -32767 and the like where there is no height.
         stored = heights[near].compressed().astype(float)
+        stored = stored[~np.isin(stored, NO_HEIGHT)]
         known = np.sort(self._unit * (stored * self._dataset.scales[0] + self._dataset.offsets[0]))
-        known = known[np.isfinite(known) & (known > -1000)]
+        known = known[np.isfinite(known) & (known > LEAST_HEIGHT)]
         if not len(known):
             return None
         return float(known[: max(1, round(LOWEST_SHARE * len(known)))].mean())
@@ -97,3 +104,14 @@ def _unit(dataset: Any, crs: pyproj.CRS) -> float:
             )
         return unit
     return crs.axis_info[2].unit_conversion_factor if len(crs.axis_info) > 2 else 1.0
+
+
+def _on_unit(dataset: Any, crs: pyproj.CRS) -> str:
+    """What to say where heights are taken for metres although the map is in another unit of length."""
+    told = dataset.units[0] or len(crs.axis_info) > 2 or not crs.is_projected
+    if told or crs.axis_info[0].unit_conversion_factor == 1:
+        return ""
+    return (
+        f"its map is in units of {crs.axis_info[0].unit_name}, and nothing tells that of its heights: taken for metres "
+        "(if they are in feet, set the unit of its band to ft)"
+    )

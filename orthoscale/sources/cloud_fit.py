@@ -54,8 +54,8 @@ class CloudFit:
 
     @property
     def own(self) -> bool:
-        """Whether it surely is."""
-        return self.near >= FEWEST_NEAR and self.dense and not self.another
+        """Whether it surely is: so many lie on no other, however few points it has."""
+        return self.near >= FEWEST_NEAR and self.on >= OWN_SHARE * self.near
 
     @property
     def said(self) -> str:

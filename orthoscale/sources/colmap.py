@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -35,7 +35,7 @@ from .dense_cloud import DenseCloud, sparse_points
 from .dense_ground import dense_ground
 from .fingerprint import Stamp, content_hash, require_unchanged
 from .focal import bend_sd, focal_doubt, without_ground
-from .frame_check import check_frames
+from .frame_check import all_points_seen, check_frames
 from .frames import find_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -104,7 +104,7 @@ class ColmapSource:
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
         if need_images:
-            notes += check_frames(model, pictures)
+            notes += check_frames(model, pictures, partial(all_points_seen, model))
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(

@@ -191,10 +191,9 @@ def _seen(tables: Tables) -> Observations:
 
     def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for image, seen, some in zip(tables.images, with_point, chosen, strict=True):
-            place = order[np.searchsorted(known, image.points[seen[some]])]
-            yield image.xy[seen[some]], points.values[place, :3]
+            yield image.xy[seen[some]], order[np.searchsorted(known, image.points[seen[some]])]
 
-    return observations([image.name for image in tables.images], pairs())
+    return observations([image.name for image in tables.images], pairs(), points.values[:, :3])
 
 
 def _parts(tables: Tables) -> tuple[tuple[str, ...], ...]:

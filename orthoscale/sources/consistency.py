@@ -55,20 +55,28 @@ class Observations:
     """A sample of the observations of a reconstruction's images, N in all.
 
     names : of the images. image : (N,) index into them. pixels : (N, 2) where the points were seen, from the outer
-    corner of the first pixel. points : (N, 3) their positions in the world [model units].
+    corner of the first pixel. points : (N, 3) their positions in the world [model units]. number : (N,) which of the
+    model's points they are, in the order of its file.
     """
 
     names: tuple[str, ...]
     image: np.ndarray
     pixels: np.ndarray
     points: np.ndarray
+    number: np.ndarray
 
     def without(self, names: Collection[str]) -> Observations:
         """All but those of the images `names`."""
         keep = np.array([name not in names for name in self.names], bool)
         rest = keep[self.image]
         kept = tuple(name for name, ok in zip(self.names, keep, strict=True) if ok)
-        return Observations(kept, (np.cumsum(keep) - 1)[self.image[rest]], self.pixels[rest], self.points[rest])
+        image = (np.cumsum(keep) - 1)[self.image[rest]]
+        return Observations(kept, image, self.pixels[rest], self.points[rest], self.number[rest])
+
+    def of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Where points were seen in the image `name` (K, 2) [px], and which (K,)."""
+        mine = self.image == self.names.index(name)
+        return self.pixels[mine], self.number[mine]
 
 
 def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
@@ -254,13 +262,17 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[R
     return []
 
 
-def observations(names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]]) -> Observations:
-    """Observations from pairs of pixels (K, 2) and points (K, 3), one pair for each of the images `names`."""
+def observations(
+    names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]], points: np.ndarray
+) -> Observations:
+    """Observations from pixels (K, 2) and the numbers (K,) of the points seen there, one pair for each of the images
+    `names`. points : (M, 3) all of the model [units]."""
     pairs = list(seen)
-    counts = [len(pixels) for pixels, _ in pairs]
+    number = np.concatenate([np.empty(0, int), *(numbers for _, numbers in pairs)])
     return Observations(
         tuple(names),
-        np.repeat(np.arange(len(pairs)), counts),
+        np.repeat(np.arange(len(pairs)), [len(pixels) for pixels, _ in pairs]),
         np.concatenate([np.empty((0, 2)), *(pixels for pixels, _ in pairs)]),
-        np.concatenate([np.empty((0, 3)), *(points for _, points in pairs)]),
+        points[number],
+        number,
     )

@@ -12,7 +12,7 @@ another size are refused: `PictureFile.check_size`.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,11 +21,16 @@ import numpy as np
 from ..core.evenly import evenly
 from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..errors import InputError
-from .colmap_read import images_of
+from .colmap_read import cameras_of, images_of
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
     import pycolmap
+
+    from .consistency import Observations
+
+# Places (N, 2) [px] of a model's points in the image of a name, and their brightness (N,) [0 to 255].
+PointsIn = Callable[[str], tuple[np.ndarray, np.ndarray]]
 
 FRAMES_COMPARED = 5  # that are checked for places and colours, spread over all
 FRAMES_GLANCED_AT = 20  # that are checked for colours in the model's places, which is quick
@@ -55,11 +60,11 @@ class _ZoomFit:
     error: float
 
 
-def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
+def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile], points_in: PointsIn) -> list[Remark]:
     """Remarks on `pictures`, the frames of `model`, if they do not show its points, or show them elsewhere."""
-    images = images_of(model)
+    cameras = cameras_of(model)
     chosen = [pictures[k] for k in evenly(len(pictures), FRAMES_COMPARED)]
-    fits = [fit for picture in chosen if (fit := _fitted(model, images[picture.name], picture)) is not None]
+    fits = [fit for picture in chosen if (fit := _fitted(cameras[picture.name], points_in, picture)) is not None]
     if not fits:
         return []
     own, best, error = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("own", "best", "error"))
@@ -77,15 +82,31 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
             f"{chosen[0].path} ...): they may be of another flight, turned, or changed since"
         )
         return [Remark(REFUSAL, text, "Name the folder of the frames that the model was made from (--images)")]
-    return _on_strangers(model, images, pictures)
+    return _on_strangers(pictures, points_in)
 
 
-def _on_strangers(
-    model: pycolmap.Reconstruction, images: Mapping[str, pycolmap.Image], pictures: Sequence[PictureFile]
-) -> list[Remark]:
+def points_seen(model: pycolmap.Reconstruction, seen: Observations) -> PointsIn:
+    """What the sample `seen` of the observations of `model` tells of its points."""
+    brightness = np.array([point.color for _, point in sorted(model.points3D.items())], float).mean(1)
+
+    def points_in(name: str) -> tuple[np.ndarray, np.ndarray]:
+        pixels, number = seen.of(name)
+        return pixels, brightness[number]
+
+    return points_in
+
+
+def all_points_seen(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Places (N, 2) [px] of the points that COLMAP's `model` has in its image `name`, and their brightness (N,)."""
+    seen = [point for point in images_of(model)[name].points2D if point.has_point3D()]
+    place = np.array([point.xy for point in seen]).reshape(-1, 2)
+    return place, np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3).mean(1)
+
+
+def _on_strangers(pictures: Sequence[PictureFile], points_in: PointsIn) -> list[Remark]:
     """A caution on single ones among the model's own frames that do not show its points."""
     chosen = [pictures[k] for k in evenly(len(pictures), FRAMES_GLANCED_AT)]
-    each = [(picture, _own(model, images[picture.name], picture)) for picture in chosen]
+    each = [(picture, _own(points_in, picture)) for picture in chosen]
     known = [(picture, own) for picture, own in each if own is not None]
     if not (strangers := [picture for picture, own in known if own < OWN_FRAMES]):
         return []
@@ -97,10 +118,10 @@ def _on_strangers(
     return [Remark(CAUTION, text)]
 
 
-def _own(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> float | None:
-    """How well the brightness of the model's points correlates with `picture` at their places in its `image`; None if
-    that cannot be found."""
-    place, colours = _points_of(model, image)
+def _own(points_in: PointsIn, picture: PictureFile) -> float | None:
+    """How well the brightness of the model's points correlates with `picture` at their places; None if that cannot be
+    found."""
+    place, colours = _coloured(points_in, picture)
     if len(place) < LEAST_POINTS:
         return None
     try:
@@ -110,14 +131,13 @@ def _own(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Picture
         return None
 
 
-def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _ZoomFit | None:
-    """Where `picture` shows the points of `image`, by the brightness of both; None if that cannot be found."""
-    place, colours = _points_of(model, image)
+def _fitted(camera: pycolmap.Camera, points_in: PointsIn, picture: PictureFile) -> _ZoomFit | None:
+    """Where `picture` shows the points seen in it, by the brightness of both; None if that cannot be found."""
+    place, colours = _coloured(points_in, picture)
     if len(place) < LEAST_POINTS:
         return None
-    camera = model.camera(image.camera_id)
     middle = np.array([camera.principal_point_x, camera.principal_point_y])
-    place -= middle
+    place = place - middle
     r2 = ((place / camera.mean_focal_length()) ** 2).sum(1)
     try:
         with picture.pixels() as (pixels, _):
@@ -135,12 +155,10 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
         return None
 
 
-def _points_of(model: pycolmap.Reconstruction, image: pycolmap.Image) -> tuple[np.ndarray, np.ndarray]:
-    """Places (N, 2) of the model's points in `image` [px], and their brightness (N,) [0 to 255]; without black ones:
-    COLMAP's mapper leaves some points without a colour, which may be a third of a frame's."""
-    seen = [point for point in image.points2D if point.has_point3D()]
-    place = np.array([point.xy for point in seen]).reshape(-1, 2)
-    colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3).mean(1)
+def _coloured(points_in: PointsIn, picture: PictureFile) -> tuple[np.ndarray, np.ndarray]:
+    """What `points_in` has of `picture`, without black points: COLMAP's mapper leaves some points without a colour,
+    which may be a third of a frame's."""
+    place, colours = points_in(picture.name)
     return place[colours > 0], colours[colours > 0]
 
 

@@ -32,6 +32,7 @@ MOST_MISFIT = 0.02
 MOST_LEANING = 5.0
 NO_GEOREFERENCE = "not georeferenced"  # `Claim.why` of a picture that says nothing of its place and scale
 NEARLY_SQUARE = 0.01  # relative difference of a pixel's sides
+LEAST_STRETCH = 0.05  # from which on leaving it out is a mistake of its own: conformal national maps stretch by 0.1 %
 SAME_PIXEL = 0.01  # relative difference of pixel sizes up to which two files say the same
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
@@ -53,6 +54,7 @@ class Claim:
     aspect : width over height of a pixel on the ground; 1 if it is square or unknown.
     unit_known : False if nothing gives the unit of the figures.
     unread : names of files beside the raster that were to say more, but are not understood.
+    mistakes : that this georeferencing invites, with truth over `gsd_m` where they were made.
     """
 
     gsd_m: float | None
@@ -63,6 +65,7 @@ class Claim:
     aspect: float = 1.0
     unit_known: bool = True
     unread: Sequence[str] = ()
+    mistakes: Sequence[tuple[float, str]] = ()
 
     @property
     def mirrored(self) -> bool:
@@ -223,7 +226,16 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
         why += f"; {size:.6g} {unit} per pixel there"
     if (aspect := _aspect(across, down)) != 1:
         why += f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
-    return Claim(gsd, True, why + _attitude(t), crs, t, aspect)
+    return Claim(gsd, True, why + _attitude(t), crs, t, aspect, mistakes=_of_stretching(system, size / gsd))
+
+
+def _of_stretching(system: pyproj.CRS, ratio: float) -> list[tuple[float, str]]:
+    """The mistake that a map invites which stretches the ground: `ratio` of its units show a metre there."""
+    if not system.is_projected:
+        return []
+    stretch = ratio * system.axis_info[0].unit_conversion_factor
+    why = f"the pixel size is that on the ground, and {system.name} needs it {stretch:.3g} times as large there"
+    return [(stretch, why)] if abs(stretch - 1) > LEAST_STRETCH else []
 
 
 def _attitude(t: Affine) -> str:

@@ -30,13 +30,16 @@ from .colmap_read import cameras_of
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
+from .frame_check import check_frames, points_seen
 from .frames import find_frames
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
     import pycolmap
 
-READ_AT, READ_BYTES = 1000, 4096  # a long file of tracks is sampled at READ_AT places, READ_BYTES each
+READ_WHOLE = 4e6  # [bytes] up to which a file of tracks is read whole: some 40,000 observations
+# A longer one is read at READ_AT places for each image, READ_BYTES each, which is some 40 observations.
+READ_AT, READ_BYTES = 4, 4096
 GPS_DOP = 1000.0  # a DOP from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's camera model and its parameters, from focal lengths, centre [px] and distortion.
 OPENSFM = {
@@ -66,10 +69,13 @@ class ExchangeSource(OneFileSource):
         stamp = Stamp.of(path)
         model, others, said, tracks = _read(path)
         seen = _seen(path, model, tracks)
-        loose = loose_images(model, seen)
+        # Of a sample it cannot be told what an image has: those with few observations may have none in it.
+        loose = loose_images(model, seen) if _read_whole(_tracks_of(path)) else frozenset()
         consistency = check_consistency(path, model, seen, loose)
         pictures, missing = find_frames(model, path.parent, images, need_images, loose)
         notes = [*informing(said), *consistency, *missing]
+        if need_images:
+            notes += check_frames(model, pictures, points_seen(model, seen))
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))
         found = path.parent, "json", pictures, notes, (path, *others), model
@@ -147,7 +153,7 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
     cameras = cameras_of(model)
     points = {track: k for k, track in enumerate(tracks)}
     found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in cameras}
-    for line in _some_lines(path.with_name("tracks.csv")) if points else ():
+    for line in _some_lines(_tracks_of(path), READ_AT * len(cameras)) if points else ():
         name, track, _, x, y, *_ = [*line.split("\t"), *[""] * 5]
         if name in found and track in points:
             with contextlib.suppress(ValueError):
@@ -157,16 +163,25 @@ def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Obse
     for (name, seen), some in zip(found.items(), some_of_each([len(v) for v in found.values()]), strict=True):
         x, y, number = np.array(seen, float).reshape(-1, 3)[some].T
         size = np.array([cameras[name].width, cameras[name].height])
-        pairs.append((np.column_stack([x, y]) * size.max() + size / 2, place[number.astype(int)]))
-    return observations(list(cameras), pairs)
+        pairs.append((np.column_stack([x, y]) * size.max() + size / 2, number.astype(int)))
+    return observations(list(cameras), pairs, place)
 
 
-def _some_lines(path: Path) -> Iterator[str]:
-    """The lines of a text file; of a long one some thousands, spread over it; of a missing one, nothing."""
+def _tracks_of(path: Path) -> Path:
+    return path.with_name("tracks.csv")
+
+
+def _read_whole(path: Path) -> bool:
+    """Whether the file `path` is so short that it is read whole; also if there is none."""
+    return not path.exists() or path.stat().st_size <= READ_WHOLE
+
+
+def _some_lines(path: Path, places: int) -> Iterator[str]:
+    """The lines of a text file; of a long one some at `places` places, spread over it; of a missing one, nothing."""
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
-            parts = 1 if size <= READ_AT * READ_BYTES else READ_AT
+            parts = 1 if _read_whole(path) else places
             for k in range(parts):
                 file.seek(k * size // parts)
                 lines = file.read(size if parts == 1 else READ_BYTES).decode("utf-8", "replace").split("\n")

@@ -24,8 +24,8 @@ TAKEN = "%Y:%m:%d %H:%M:%S"  # EXIF 2.32, DateTimeOriginal
 SPACING = 3.0  # [s] between frames whose tags have no time: mapping drones take one every 2 to 5 s
 SAID = 2.0  # sigmas from which a bend is told; a judgement
 UPSIDE_DOWN = (
-    "the altitudes of its frames do not count: they fall where its cameras rise, as those below the sea do whose sign "
-    "is lost"
+    "the altitudes of its frames do not count: they, or those of the lowest, fall where its cameras rise, as those "
+    "below the sea do whose sign is lost"
 )
 UNHEARD = "the GPS positions of its frames do not count"
 

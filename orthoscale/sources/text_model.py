@@ -19,6 +19,7 @@ from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, image_names
 from .colmap_read import cameras_of
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
+from .frame_check import check_frames, points_seen
 from .frames import find_frames, image_folder, places_of
 from .json_model import build_model
 from .one_file import OneFileSource
@@ -54,6 +55,8 @@ class TextSource(OneFileSource):
         notes += check_consistency(path, model, seen, loose)
         pictures, remarks = find_frames(model, path.parent, root, need_images, loose)
         notes += remarks
+        if need_images:
+            notes += check_frames(model, pictures, points_seen(model, seen))
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
         return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
 
@@ -93,8 +96,8 @@ def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruct
     for (name, seen), some in zip(of.items(), some_of_each([len(seen) for seen in of.values()]), strict=True):
         camera = cameras[name]
         origin = (0, 0) if text.from_corner else (camera.principal_point_x, camera.principal_point_y)
-        pairs.append((seen[some, 1:] + origin, text.points[seen[some, 0].astype(int)]))
-    return observations(list(of), pairs)
+        pairs.append((seen[some, 1:] + origin, seen[some, 0].astype(int)))
+    return observations(list(of), pairs, text.points)
 
 
 def _built(path: Path, text: TextModel, names: list[str], sizes: dict[str, tuple[int, int]]) -> pycolmap.Reconstruction:

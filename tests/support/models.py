@@ -89,6 +89,21 @@ def put_frames(model, folder: Path, size=(640, 480)):
         cv2.imwrite(str(path), np.full((size[1], size[0], 3), 90, np.uint8))
 
 
+def draw_points(model, image, place, k1=None):
+    """A frame with the points of `image` in their colours, by its lens, or by that of `make_model` with this k1."""
+    frame = np.full((480, 640, 3), 90, np.uint8)
+    camera = pycolmap.Camera(model.camera(image.camera_id).todict())
+    if k1 is not None:
+        camera.params = [*camera.params[:4], k1, *camera.params[5:]]
+    for seen in image.points2D:
+        if seen.has_point3D():
+            point = model.points3D[seen.point3D_id]
+            x, y = camera.img_from_cam((image.cam_from_world() * point.xyz)[None])[0].astype(int).tolist()
+            cv2.circle(frame, (x, y), 4, point.color[::-1].tolist(), -1)
+    place.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(place), frame)
+
+
 def patched(folder: Path, name: str, offset: int, form: str, *values) -> None:
     path = folder / name
     data = bytearray(path.read_bytes())

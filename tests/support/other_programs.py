@@ -28,7 +28,7 @@ def opensfm(model, folder: Path, **camera) -> Path:
         turn = Rotation.from_matrix(pose.rotation.matrix()).as_rotvec()
         shots[image.name] = {"camera": "c", "rotation": turn.tolist(), "translation": pose.translation.tolist()}
     for number, point in model.points3D.items():
-        points[str(number)] = {"coordinates": point.xyz.tolist(), "color": [10, 20, 30]}
+        points[str(number)] = {"coordinates": point.xyz.tolist(), "color": point.color.tolist()}
     part = {"cameras": {"c": {**lens, "k1": LENS["k1"], "k2": LENS["k2"], **camera}}, "shots": shots, "points": points}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "reconstruction.json").write_text(json.dumps([part]))
@@ -115,6 +115,10 @@ K1, K2 = 0.05, -0.02
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
+def colour(point) -> str:
+    return " ".join(map(str, point.color.tolist()))
+
+
 def track(model, point, first: int, y_up: bool = False) -> str:
     """The track of `point` in images, pixels from their middle; the first image has the number `first`."""
     numbers = {image: k for k, image in enumerate(model.images, first)}
@@ -143,7 +147,7 @@ def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
             *(" ".join(map(repr, row.tolist())) for row in rows),
         ]
     for point in model.points3D.values():
-        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", track(model, point, lost, y_up=True)]
+        lines += [" ".join(map(repr, point.xyz.tolist())), colour(point), track(model, point, lost, y_up=True)]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "bundle.out").write_text("\n".join(lines) + "\n")
     (folder / "list.txt").write_text("".join(f"./{name} 0 400.0\n" for name in names))
@@ -159,7 +163,7 @@ def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "
         lines.append(f"{image.name} " + " ".join(repr(float(v)) for v in values) + " 0")
     lines += ["", str(len(model.points3D))]
     for p in model.points3D.values():
-        lines.append(" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 " + (track(model, p, 0) if tracks else "0"))
+        lines.append(f"{' '.join(map(repr, p.xyz.tolist()))} {colour(p)} " + (track(model, p, 0) if tracks else "0"))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.nvm").write_text("\n".join([*lines, "", more]))
     return folder / "scene.nvm"
