@@ -27,7 +27,7 @@ from PIL.ExifTags import IFD
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.rpc import RPC
 from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
@@ -1277,6 +1277,17 @@ def test_a_copy_that_has_no_room_is_refused(tmp_path, monkeypatch):
     with RasterSource.open(path) as source, pytest.raises(InputError, match="has no room for a copy") as caught:
         source.read(0, 0, W, H, 100, 60)
     assert "TMPDIR" in caught.value.hint
+
+
+def test_a_copy_that_cannot_be_written_is_told(tmp_path, monkeypatch):
+    def fails(*_, **__):
+        raise RasterioIOError("No space left on device")
+
+    path = converted(tmp_path / "a.png", "PNG")
+    monkeypatch.setattr(gdal, "_CACHE", 1000)
+    monkeypatch.setattr(Original, "convert", fails)
+    with RasterSource.open(path) as source, pytest.raises(InputError, match="into a temporary file .*No space left"):
+        source.read(0, 0, W, H, 100, 60)
 
 
 @pytest.mark.slow

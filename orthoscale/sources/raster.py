@@ -312,9 +312,9 @@ class RasterSource:
             )
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its georeferencing does not matter.
-        self._original.convert(
-            copy, CopyGeoreference(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1
-        )
+        nowhere = CopyGeoreference(None, Affine.identity(), "")
+        with reading(self.path, "cannot be decoded into a temporary file", EXPORT_AGAIN):
+            self._original.convert(copy, nowhere, compress="zstd", zstd_level=1, predictor=1)
         self._read_from = open_dataset(copy)
         self._scratch = scratch
 

@@ -75,11 +75,11 @@ def margin_of(width: int, height: int, read: Read) -> Margin | None:
     paper = _paper(np.concatenate(list(sides.values())))
     if paper is None:
         return None
-    touching = [side for side, colours in sides.items() if _flat_share(colours, paper) >= FLAT_SIDE]
+    touching = [side for side, colours in sides.items() if _share_of(paper, colours) >= FLAT_SIDE]
     if not touching:
         return None
     out = _reduced(width, height)
-    flat = _is(read(Window(0, 0, width, height), out), paper)
+    flat = cv2.inRange(read(Window(0, 0, width, height), out), paper - ONE_COLOUR, paper + ONE_COLOUR) > 0
     pictures = _pictures(flat, touching)
     rows, columns = out
     # The edge of a picture may be uneven, as that of the ground below a white sky.
@@ -122,13 +122,9 @@ def _paper(colours: np.ndarray) -> np.ndarray | None:
     return np.median(light, axis=0) if len(light) else None
 
 
-def _is(colours: np.ndarray, paper: np.ndarray) -> np.ndarray:
-    """Bool: which of the colours (..., 3) are the `paper`'s; NaN is not."""
-    return (np.abs(colours - paper) <= ONE_COLOUR).all(-1)
-
-
-def _flat_share(colours: np.ndarray, paper: np.ndarray) -> float:
-    return float(_is(colours, paper).mean())
+def _share_of(paper: np.ndarray, colours: np.ndarray) -> float:
+    """Share of the colours of patches (N, 3) that are the `paper`'s (3,); NaN is not."""
+    return float((np.abs(colours - paper) <= ONE_COLOUR).all(1).mean())
 
 
 def _pictures(flat: np.ndarray, touching: list[str]) -> np.ndarray:
