@@ -160,7 +160,8 @@ def measure_ruler(
     seen = np.array(
         [_mean_size(_sizes(look, gsd, 1 / zoom, ruler), fleet) for look, zoom in zip(looks, zooms, strict=True)]
     )
-    if np.abs(np.log(seen[middle] / fleet.mean[:2])).max() > np.log(WRONG_SCALE):
+    ratio = seen[middle] / fleet.mean[:2]
+    if np.abs(np.log(ratio)).max() > np.log(WRONG_SCALE):
         raise InputError(
             f"at {gsd:g} m/px these vehicles would be {seen[middle, 0]:.2f} x {seen[middle, 1]:.2f} m on average",
             "Check --gsd; a preview that was made smaller than its original has larger pixels.",
@@ -172,8 +173,8 @@ def measure_ruler(
     fleet_sd = np.sqrt(stray) * fleet.mean[:2]
     margin_sd = np.array(NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd)
     # By how many sigmas length and width differ from the fleet's, as the given scale makes both.
-    sigmas = np.log(seen[middle] / fleet.mean[:2]) / np.hypot(stray**0.5, margin_sd * pixel[middle] / seen[middle])
-    doubts = _doubts(gsd, seen[middle] / fleet.mean[:2], float(sigmas.mean()), fleet)
+    sigmas = np.log(ratio) / np.hypot(stray**0.5, margin_sd * pixel[middle] / seen[middle])
+    doubts = _doubts(gsd, ratio, float(sigmas.mean()), fleet)
     fits = [
         fit_margin(
             seen[:, axis] + ruler.margin[axis] * pixel,

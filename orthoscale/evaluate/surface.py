@@ -37,8 +37,7 @@ class Surface:
     def __init__(self, dataset: Any, crs: pyproj.CRS):
         self._dataset, self._crs = dataset, crs
         self._to_degrees = to_degrees(crs)
-        self._unit = _unit(dataset, crs)
-        self.note = _on_unit(dataset, crs)
+        self._unit, self.note = _unit(dataset, crs)
 
     @classmethod
     def open(cls, path: Path) -> Surface:
@@ -93,8 +92,9 @@ class Surface:
         return float(known[: max(1, round(LOWEST_SHARE * len(known)))].mean())
 
 
-def _unit(dataset: Any, crs: pyproj.CRS) -> float:
-    """The unit of the heights [m]: the band's own, else that of the vertical axis, else metres. Raises InputError."""
+def _unit(dataset: Any, crs: pyproj.CRS) -> tuple[float, str]:
+    """The unit of the heights [m]: the band's own, else that of the vertical axis, else metres; and what to say where
+    these are assumed although the map is in another unit of length. Raises InputError."""
     if name := dataset.units[0]:
         unit = HEIGHT_UNITS.get(re.sub("[^a-z]", "", name.lower()))
         if unit is None:
@@ -102,16 +102,12 @@ def _unit(dataset: Any, crs: pyproj.CRS) -> float:
                 f"{dataset.name}: its heights are in {shown(name)!r}, which is no known unit",
                 "Give them in metres or feet, and set the unit of its band to m, ft or us-ft.",
             )
-        return unit
-    return crs.axis_info[2].unit_conversion_factor if len(crs.axis_info) > 2 else 1.0
-
-
-def _on_unit(dataset: Any, crs: pyproj.CRS) -> str:
-    """What to say where heights are taken for metres although the map is in another unit of length."""
-    told = dataset.units[0] or len(crs.axis_info) > 2 or not crs.is_projected
-    if told or crs.axis_info[0].unit_conversion_factor == 1:
-        return ""
-    return (
-        f"its map is in units of {crs.axis_info[0].unit_name}, and nothing tells that of its heights: taken for metres "
-        "(if they are in feet, set the unit of its band to ft)"
+        return unit, ""
+    if len(crs.axis_info) > 2:
+        return crs.axis_info[2].unit_conversion_factor, ""
+    if not crs.is_projected or (across := crs.axis_info[0]).unit_conversion_factor == 1:
+        return 1.0, ""
+    return 1.0, (
+        f"its map is in units of {across.unit_name}, and nothing tells that of its heights: taken for metres (if they "
+        "are in feet, set the unit of its band to ft)"
     )

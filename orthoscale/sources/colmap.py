@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -104,7 +104,7 @@ class ColmapSource:
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
         if need_images:
-            notes += check_frames(model, pictures, partial(all_points_seen, model))
+            notes += check_frames(model, pictures, all_points_seen(model))
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(

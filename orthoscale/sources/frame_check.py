@@ -96,11 +96,17 @@ def points_seen(model: pycolmap.Reconstruction, seen: Observations) -> PointsIn:
     return points_in
 
 
-def all_points_seen(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Places (N, 2) [px] of the points that COLMAP's `model` has in its image `name`, and their brightness (N,)."""
-    seen = [point for point in images_of(model)[name].points2D if point.has_point3D()]
-    place = np.array([point.xy for point in seen]).reshape(-1, 2)
-    return place, np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3).mean(1)
+def all_points_seen(model: pycolmap.Reconstruction) -> PointsIn:
+    """What the images of COLMAP's `model` tell of its points."""
+    images = images_of(model)
+
+    def points_in(name: str) -> tuple[np.ndarray, np.ndarray]:
+        seen = [point for point in images[name].points2D if point.has_point3D()]
+        place = np.array([point.xy for point in seen]).reshape(-1, 2)
+        colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3)
+        return place, colours.mean(1)
+
+    return points_in
 
 
 def _on_strangers(pictures: Sequence[PictureFile], points_in: PointsIn) -> list[Remark]:
