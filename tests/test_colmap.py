@@ -29,6 +29,7 @@ from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
 from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.dense_cloud import DenseCloud
+from orthoscale.sources.distortion import project, undistort
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
 from orthoscale.sources.tags import read_tags
@@ -464,6 +465,30 @@ def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
     put_frames(plain, tmp_path / "images", size)
     with pytest.raises(InputError, match=hint):
         ColmapSource.open(model_bin)
+
+
+@pytest.mark.parametrize(
+    ("lens", "values"),
+    [
+        ("SIMPLE_RADIAL", [400, 320, 240, -0.25]),  # 56 to 67 degrees off the axis came back into the picture
+        ("SIMPLE_RADIAL", [400, 320, 240, -0.05]),
+        ("RADIAL", [400, 320, 240, -0.3, 0.03]),
+        ("OPENCV", [400, 400, 320, 240, -0.3, 0.08, 0, 0]),
+        ("PINHOLE", [400, 400, 320, 240]),
+        ("OPENCV_FISHEYE", [200, 200, 320, 240, 0.01, 0, 0, 0]),
+    ],
+)
+def test_a_picture_shows_no_direction_beside_another(lens, values):
+    """What a lens maps into the picture is seen there: the pixel's ray is the point's."""
+    camera = pycolmap.Camera(model=lens, width=640, height=480, params=values)
+    away, around = np.meshgrid(np.linspace(0, 8, 200), np.linspace(0, 2 * np.pi, 24))
+    plane = (away * [np.cos(around), np.sin(around)]).reshape(2, -1).T
+    pixels = project(camera, 3.0 * np.column_stack([plane, np.ones(len(plane))]))
+    inside = ((pixels >= 0) & (pixels <= (640, 480))).all(1)
+    back, _, usable = undistort(camera, pixels[inside])
+    assert inside.sum() > 300 and usable.mean() > 0.95
+    assert np.allclose(back[usable], plane[inside][usable], atol=1e-3)
+    assert np.isnan(project(camera, np.array([[0.0, 0.0, -1.0]]))).all()
 
 
 @pytest.mark.parametrize(("k1", "said"), [(0.05, None), (-0.05, "smaller than the model's"), (0.2, "larger than")])

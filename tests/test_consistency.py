@@ -9,6 +9,7 @@ import shutil
 import struct
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -286,6 +287,47 @@ def test_other_programs_frames_of_another_flight(tmp_path, writer):
     (note,) = open_source(path, tmp_path / "another").notes
     assert note.severity == REFUSAL and "may be of another flight" in note.text
     assert open_source(path, tmp_path / "another", need_images=False).notes == []
+
+
+def unobserved(model: pycolmap.Reconstruction, folder: Path) -> Path:
+    """COLMAP's `model` without its observations, as programs write it that only show models."""
+    bare = pycolmap.Reconstruction()
+    bare.add_camera_with_trivial_rig(model.cameras[1])
+    for image in model.images.values():
+        image_alone = pycolmap.Image(name=image.name, camera_id=1, image_id=image.image_id)
+        bare.add_image_with_trivial_frame(image_alone, image.cam_from_world())
+    for point in model.points3D.values():
+        bare.add_point3D(point.xyz, pycolmap.Track(), point.color)
+    return save(bare, folder / "m", "bin")
+
+
+@pytest.mark.parametrize("writer", [nerfstudio, opensfm, unobserved])
+def test_frames_are_compared_without_observations(tmp_path, writer):
+    """By the points that lie in front of each camera. Turned frames gave a scale without a word."""
+    model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
+    path = writer(model, tmp_path)
+    images = list(model.images.values())
+    for image in images:
+        own = tmp_path / "own/images" / image.name
+        own.parent.mkdir(parents=True, exist_ok=True)
+        draw_points(model, image, own)
+        turned = tmp_path / "turned/images" / image.name
+        turned.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(turned), cv2.rotate(cv2.imread(str(own)), cv2.ROTATE_180))
+    inner = "" if writer is nerfstudio else "images"
+    unchecked, *more = open_source(path, tmp_path / "own" / inner).notes
+    assert "holds no observations of its points" in unchecked.text and not more
+    unchecked, note = open_source(path, tmp_path / "turned" / inner).notes
+    assert note.severity == REFUSAL and "turned" in note.text
+    (unchecked,) = open_source(path, tmp_path / "turned" / inner, need_images=False).notes
+
+
+def test_another_lens_is_told_without_observations(tmp_path):
+    model = make_model()[0]
+    for image in model.images.values():
+        draw_points(model, image, tmp_path / "frames" / image.name, 0.2)
+    _, note = open_source(unobserved(model, tmp_path), tmp_path / "frames").notes
+    assert "larger than the model's lens does" in note.text
 
 
 @pytest.mark.parametrize("writer", [bundler, nvm, opensfm])

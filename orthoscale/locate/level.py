@@ -13,6 +13,7 @@ from ..core.projection.view import LOWEST_ELEVATION
 from ..core.source import NO_DATA_GREY
 from ..errors import TooLittleEvidence
 from ..photos.photo import Photo
+from ..sources.distortion import project
 from .ground import GroundImage
 
 EDGE_POINTS = 24  # along each side of a grid over the photo, by which its extent on the ground is found
@@ -81,13 +82,9 @@ class LevelledPhoto:
         up = self.photo.up
         points = (ground * (1, -1)) @ level_axes(up) - self.altitude * up
         rays = np.linalg.norm(points, axis=1)
-        ahead = points[:, 2] > 0
         steep = self.altitude >= np.sin(np.radians(LOWEST_ELEVATION)) * rays
-        usable = ahead & steep
         camera = self.photo.lens.camera
-        pixels = np.full((len(points), 2), np.nan)
-        if usable.any():
-            pixels[usable] = np.array(camera.img_from_cam(points[usable]), float).reshape(-1, 2)
+        pixels = project(camera, points)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-        return np.where(np.isfinite(pixels), pixels, -1.0), usable & inside
+        return np.where(np.isfinite(pixels), pixels, -1.0), steep & inside

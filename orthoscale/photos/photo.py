@@ -13,10 +13,10 @@ from ..core.by_value import ByValue
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..errors import InputError, UsageError
+from ..sources.distortion import undistort
 from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import Tags, read_tags
-from ..sources.undistort import undistort
 
 if TYPE_CHECKING:
     from typing import Unpack

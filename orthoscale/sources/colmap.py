@@ -33,15 +33,15 @@ from .consistency import check_consistency, loose_images
 from .database import pose_priors
 from .dense_cloud import DenseCloud, sparse_points
 from .dense_ground import dense_ground
+from .distortion import project, undistort
 from .fingerprint import Stamp, content_hash, require_unchanged
 from .focal import bend_sd, focal_doubt, without_ground
-from .frame_check import all_points_seen, check_frames
+from .frame_check import all_points_seen, check_frames, points_projected
 from .frames import find_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 from .positions import gps_scale
-from .undistort import undistort
 
 if TYPE_CHECKING:
     from typing import Self
@@ -104,7 +104,8 @@ class ColmapSource:
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
         if need_images:
-            notes += check_frames(model, pictures, all_points_seen(model))
+            told = all_points_seen(model) if len(files.seen.image) else points_projected(model)
+            notes += check_frames(model, pictures, told)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(
@@ -353,12 +354,7 @@ class ColmapSource:
         """(N, 2) pixels of the points `world` (N, 3) in the image `name`; NaN for points that it cannot show."""
         image = self._images[name]
         pose = image.cam_from_world()
-        seen = world @ pose.rotation.matrix().T + pose.translation
-        ahead = seen[:, 2] > 1e-6 * self.camera_height
-        pixels = np.full((len(world), 2), np.nan)
-        if ahead.any():
-            pixels[ahead] = np.array(self._model.camera(image.camera_id).img_from_cam(seen[ahead]), float)
-        return pixels
+        return project(self._model.camera(image.camera_id), world @ pose.rotation.matrix().T + pose.translation)
 
     def check_writable(self) -> None:
         """Nothing to check: a model's files all lie in its own folder."""

@@ -122,7 +122,10 @@ def check_consistency(
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
         distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
     else:
-        text = f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"
+        text = (
+            f"{where} holds no observations of its points: only their colours in the frames can tell whether they fit "
+            "its cameras"
+        )
         notes = [Remark(CAUTION, text)]
         points = np.array([point.xyz for point in model.points3D.values()])
         distance = np.median(np.linalg.norm(points - centres.mean(0), axis=1))

@@ -22,6 +22,7 @@ from ..core.evenly import evenly
 from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..errors import InputError
 from .colmap_read import cameras_of, images_of
+from .distortion import project
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ PointsIn = Callable[[str], tuple[np.ndarray, np.ndarray]]
 FRAMES_COMPARED = 5  # that are checked for places and colours, spread over all
 FRAMES_GLANCED_AT = 20  # that are checked for colours in the model's places, which is quick
 GLANCE = 4  # by what factor large frames are reduced for it
+PROJECTED = 50_000  # most points that are projected
 LEAST_POINTS = 50  # of a frame that can be checked
 LEAST_CONTRAST = 5.0  # [of 255] standard deviation: a blank frame shows nothing
 OWN_FRAMES = 0.5  # median correlation of the frames from which they are the model's
@@ -105,6 +107,28 @@ def all_points_seen(model: pycolmap.Reconstruction) -> PointsIn:
         place = np.array([point.xy for point in seen]).reshape(-1, 2)
         colours = np.array([model.points3D[point.point3D_id].color for point in seen], float).reshape(-1, 3)
         return place, colours.mean(1)
+
+    return points_in
+
+
+def points_projected(model: pycolmap.Reconstruction) -> PointsIn:
+    """Where the images of `model`, which holds no observations, would show its points if nothing hid them.
+
+    In four real models the brightness then correlates by 0.66 to 0.95 in every frame (0.89 to 0.98 where the points
+    were seen), and by 0.31 at most in a turned frame or another.
+    """
+    points = [model.points3D[number] for number in sorted(model.points3D)]
+    points = [points[k] for k in evenly(len(points), PROJECTED)]
+    world = np.array([point.xyz for point in points])
+    brightness = np.array([point.color for point in points], float).mean(1)
+    images = images_of(model)
+
+    def points_in(name: str) -> tuple[np.ndarray, np.ndarray]:
+        camera, pose = model.camera(images[name].camera_id), images[name].cam_from_world()
+        place = project(camera, world @ pose.rotation.matrix().T + pose.translation)
+        with np.errstate(invalid="ignore"):
+            inside = ((place >= 0) & (place < (camera.width, camera.height))).all(1)
+        return place[inside], brightness[inside]
 
     return points_in
 

@@ -30,7 +30,7 @@ from .colmap_read import cameras_of
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
-from .frame_check import check_frames, points_seen
+from .frame_check import check_frames, points_projected, points_seen
 from .frames import find_frames
 from .one_file import OneFileSource
 
@@ -75,7 +75,8 @@ class ExchangeSource(OneFileSource):
         pictures, missing = find_frames(model, path.parent, images, need_images, loose)
         notes = [*informing(said), *consistency, *missing]
         if need_images:
-            notes += check_frames(model, pictures, points_seen(model, seen))
+            told = points_seen(model, seen) if len(seen.image) else points_projected(model)
+            notes += check_frames(model, pictures, told)
         images = None if images is None else Path(images)
         stamps = (stamp, *map(Stamp.of, others))
         found = path.parent, "json", pictures, notes, (path, *others), model
@@ -302,5 +303,4 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
             f"{path} has no sparse points (there is no {name[:80]} beside it), and the ground is found from them",
             "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
         )
-    points = read_points(cloud)
-    return build_model(cameras, poses, points, np.full(points.shape, 128, np.uint8)), [cloud]
+    return build_model(cameras, poses, *read_points(cloud)), [cloud]

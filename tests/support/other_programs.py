@@ -13,7 +13,6 @@ from orthoscale.actions.fix import fix
 from orthoscale.formats.detections.own import save_detections
 
 from .flights import UNIT, found_by
-from .geometry import ply
 from .models import put_frames
 
 LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
@@ -45,11 +44,20 @@ def nerfstudio(model, folder: Path, **more) -> Path:
         matrix[:3, 3] = image.projection_center()
         frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist()})
     folder.mkdir(parents=True, exist_ok=True)
-    ply(folder / "sparse_pc.ply", "ascii", ["x", "y", "z"], np.array([p.xyz for p in model.points3D.values()]))
+    points = model.points3D.values()
+    sparse_cloud(folder, np.array([p.xyz for p in points]), np.array([p.color for p in points]))
     text = {"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": LENS["f"], "fl_y": LENS["f"], "cx": 320, "cy": 240}
     text |= {"k1": LENS["k1"], "k2": LENS["k2"], "frames": frames, "ply_file_path": "sparse_pc.ply", **more}
     (folder / "transforms.json").write_text(json.dumps(text))
     return folder / "transforms.json"
+
+
+def sparse_cloud(folder: Path, points: np.ndarray, colours: np.ndarray) -> None:
+    """``sparse_pc.ply`` in `folder`, as nerfstudio writes it."""
+    header = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    header += "".join(f"property uint8 {colour}\n" for colour in ("red", "green", "blue")) + "end_header\n"
+    rows = (f"{x:8f} {y:8f} {z:8f} {r} {g} {b}\n" for (x, y, z), (r, g, b) in zip(points, colours, strict=True))
+    (folder / "sparse_pc.ply").write_text(header.format(len(points)) + "".join(rows))
 
 
 def process_data(model, folder: Path) -> None:
@@ -77,10 +85,7 @@ def process_data(model, folder: Path) -> None:
         place = {"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist(), "colmap_im_id": number}
         frames.append(place | lens | {"camera_model": "OPENCV"})
     points = np.array([point.xyz for point in model.points3D.values()]) @ turn.T
-    header = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-    header += "".join(f"property uint8 {colour}\n" for colour in ("red", "green", "blue")) + "end_header\n"
-    rows = "".join(f"{x:8f} {y:8f} {z:8f} 9 9 9\n" for x, y, z in points)
-    (folder / "sparse_pc.ply").write_text(header.format(len(points)) + rows)
+    sparse_cloud(folder, points, np.full(points.shape, 9))
     text = {"frames": frames, "applied_transform": np.column_stack([turn, np.zeros(3)]).tolist()}
     (folder / "transforms.json").write_text(json.dumps(text | {"ply_file_path": "sparse_pc.ply"}, indent=4))
 

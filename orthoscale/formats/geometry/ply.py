@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -36,6 +36,8 @@ OF_VERTICES = ("x", "y", "z", "radius", "filter_3D")
 SPLAT = {"rot_0", "f_dc_0", "opacity"}  # every Gaussian has at least one of these properties
 VIEWPOINT = ("view_px", "view_py", "view_pz")  # position in MeshLab's and PCL's element `camera`, besides its axes
 TEXTURE = "comment TextureFile "  # written by MeshLab and OpenMVS
+XYZ = ("x", "y", "z")
+COLOUR = ("red", "green", "blue")  # properties of a coloured vertex, of the type uchar
 
 
 @dataclass
@@ -86,7 +88,7 @@ def scale_ply(source: Path, target: Path, scale: float) -> Referred:
             refuse_marked(source)
         vertex = next((e for e in elements if e.name == "vertex"), None)
         names = [name for name, _ in vertex.properties] if vertex else []
-        if vertex is None or not {"x", "y", "z"} <= set(names):
+        if vertex is None or not set(XYZ) <= set(names):
             raise InputError(
                 f"{source}: no vertices with x, y and z among its elements ({', '.join(e.name for e in elements)})",
                 "Packed splats and other exotic layouts must be unpacked first.",
@@ -121,9 +123,16 @@ def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) ->
         raise InputError(f"{path}: {missing} bytes or more are missing at its end", EXPORT_ANEW)
 
 
-def read_points(path: Path) -> np.ndarray:
-    """(N, 3) vertices of the PLY file `path`, MOST_POINTS of them at most. Raises InputError."""
-    return np.concatenate([np.empty((0, 3)), *points_in(path, MOST_POINTS)])
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) vertices of the PLY file `path`, MOST_POINTS of them at most, and their colours (N, 3) uint8, black where
+    it has none. Raises InputError."""
+    with path.open("rb") as file:
+        kinds = dict(property for element in _header(path, file)[2][:1] for property in element.properties)
+    coloured = all(kinds.get(name) == "u1" for name in COLOUR)
+    names = (*XYZ, *COLOUR) if coloured else XYZ
+    table = np.concatenate([np.empty((0, len(names))), *points_in(path, MOST_POINTS, properties=names)])
+    points, colours = np.split(table, [len(XYZ)], axis=1)
+    return points, colours.astype(np.uint8) if coloured else np.zeros(points.shape, np.uint8)
 
 
 def vertex_count(path: Path) -> int:
@@ -132,19 +141,25 @@ def vertex_count(path: Path) -> int:
         return sum(element.count for element in _header(path, file)[2] if element.name == "vertex")
 
 
-def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
-    """Blocks (N, 3) of the vertices of the PLY file `path`, thinned to `most` at most. Never more than ROWS are in
-    memory. progress : called with the number of vertices passed, and their total. Raises InputError."""
+def points_in(
+    path: Path,
+    most: int,
+    progress: Callable[[int, int], None] | None = None,
+    properties: Sequence[str] = XYZ,
+) -> Iterator[np.ndarray]:
+    """Blocks (N, K) of the K `properties` of the vertices of the PLY file `path`, thinned to `most` vertices at most.
+    Never more than ROWS are in memory. progress : called with the number of vertices passed, and their total. Raises
+    InputError."""
     with path.open("rb") as file:
         _, form, elements = _header(path, file)
         vertex = elements[0] if elements else None
         names = [name for name, _ in vertex.properties] if vertex else []
-        if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
+        if vertex is None or vertex.name != "vertex" or not vertex.fixed or not set(properties) <= set(names):
             raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it again.")
         _require(path, file, form, elements)
         # More points would not improve the ground: of very many, only every `step`-th is taken.
         step = -(-vertex.count // most)
-        columns = [names.index(axis) for axis in "xyz"]
+        columns = [names.index(name) for name in properties]
         row = vertex.row(ORDER[form])
         for start in range(0, vertex.count, ROWS):
             many = min(ROWS, vertex.count - start)
@@ -152,12 +167,12 @@ def points_in(path: Path, most: int, progress: Callable[[int, int], None] | None
                 lines = [file.readline() for _ in range(many)][-start % step :: step]
                 try:
                     words = [line.split() for line in lines]
-                    block = np.array([[each[k] for k in columns] for each in words], float).reshape(-1, 3)
+                    block = np.array([[each[k] for k in columns] for each in words], float).reshape(-1, len(columns))
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{path}: a vertex is missing or malformed", EXPORT_ANEW) from error
             else:
                 table = np.frombuffer(file.read(many * row.itemsize), row)[-start % step :: step]
-                block = np.column_stack([table[axis].astype(float) for axis in "xyz"])
+                block = np.column_stack([table[name].astype(float) for name in properties])
             if not np.isfinite(block).all():
                 raise InputError(f"{path}: a vertex after number {start} is not finite", EXPORT_ANEW)
             yield block
