@@ -117,8 +117,8 @@ def points_projected(model: pycolmap.Reconstruction) -> PointsIn:
     In four real models the brightness then correlates by 0.66 to 0.95 in every frame (0.89 to 0.98 where the points
     were seen), and by 0.31 at most in a turned frame or another.
     """
-    points = [model.points3D[number] for number in sorted(model.points3D)]
-    points = [points[k] for k in evenly(len(points), PROJECTED)]
+    numbers = sorted(model.points3D)
+    points = [model.points3D[numbers[k]] for k in evenly(len(numbers), PROJECTED)]
     world = np.array([point.xyz for point in points])
     brightness = np.array([point.color for point in points], float).mean(1)
     images = images_of(model)
