@@ -455,7 +455,7 @@ def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     path = orthophoto(tmp_path, report=report)
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
     planned = plan(path, lot, ["basketball@30,25"])
-    said = summary(planned, None)
+    said = "\n".join(summary(planned, None))
     assert "true length 25.76 to 29.68 m (90 %)" in said and "10.00 cm/px (90 %: 9.20 to 10.60)" in said
     row = document(planned)["facilities"][0]
     assert (row["length_low"], row["length_high"]) == pytest.approx((28 * 0.92, 28 * 1.06)), (
