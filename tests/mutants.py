@@ -491,6 +491,18 @@ MUTANTS = (
     Mutant("sources/colmap.py", "if compare_frames:", "if need_images:", GIVEN_BOXES),
     Mutant("actions/opening.py", "compare_frames=to_measure", "compare_frames=True", GIVEN_BOXES),
     Mutant(
+        "layout/catalogue.py",
+        'side * aisle["aisle"] / 2',
+        'side * aisle["aisle"] / 3',
+        "tests/test_layout.py::test_parking_has_as_many_bays_as_asked_for",
+    ),
+    Mutant(
+        "layout/terminal.py",
+        "if f.north_south and place.from_north > TOLERANCE:",
+        "if not (f.north_south and place.from_north > TOLERANCE):",
+        "tests/test_layout.py::test_the_summary_tells_which_courts_are_off_north_south",
+    ),
+    Mutant(
         "evaluate/surface.py",
         "stored[~np.isin(stored, NO_HEIGHT)]",
         "stored",

@@ -84,6 +84,8 @@ def test_parking_has_as_many_bays_as_asked_for():
     f = parking("parking-US", 15)
     assert f.length == pytest.approx(8 * 2.74) and f.width == pytest.approx(2 * 5.49 + 7.32)
     assert len(f.lines) == 9 + 8  # eight bays on one side, seven on the other
+    assert [LineString(line).length for line in f.lines] == pytest.approx([5.49] * 17)  # and as deep as a bay
+    assert {abs(y) for line in f.lines for y in line[:, 1]} == {f.width / 2, 7.32 / 2}
 
 
 @pytest.mark.parametrize(("country", "width", "depth"), [
@@ -273,6 +275,20 @@ def test_given_places_are_kept_and_judged():
     check(lot, placed, 1.0)
     assert missing[0].outside == pytest.approx((9.1 / 2 + 1) * 17.4, rel=0.01) and missing[0].overlapping == 0
     assert missing[1].overlapping > 0 and "does not fit where it was asked for" in missing[1].sentence()
+
+
+def test_the_summary_tells_which_courts_are_off_north_south(tmp_path):
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    said = summary(plan(orthophoto(tmp_path), lot, ["badminton@15,25,0", "badminton@45,25,70"]), None)
+    assert "badminton court, 13.4 x 6.1 m, N-S" in said[1] and "off north-south" not in said[1]
+    assert "ENE-WSW, 70 degrees off north-south" in said[2]
+
+
+def test_the_north_arrow_has_one_size():
+    arrows = [np.zeros((100, 100, 3), np.uint8) for _ in range(2)]
+    for arrow, length in zip(arrows, (1, 5), strict=True):
+        draw._north_arrow(arrow, length * np.array([0.6, -0.8]))
+    assert np.array_equal(*arrows) and arrows[0].any()
 
 
 def test_what_remains_when_the_scale_is_off():
