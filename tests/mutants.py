@@ -491,6 +491,12 @@ MUTANTS = (
     Mutant("sources/colmap.py", "if compare_frames:", "if need_images:", GIVEN_BOXES),
     Mutant("actions/opening.py", "compare_frames=to_measure", "compare_frames=True", GIVEN_BOXES),
     Mutant(
+        "photos/photo.py",
+        "if doubt := beside_tags(lens, tags):",
+        "if False:",
+        f"{PHOTO}test_a_given_focal_length_that_is_another_cameras_is_told",
+    ),
+    Mutant(
         "layout/catalogue.py",
         'side * aisle["aisle"] / 2',
         'side * aisle["aisle"] / 3',

@@ -789,6 +789,20 @@ def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
     assert len(pyogrio.raw.read(outputs[2], layer="footprints")[2]) == 2
 
 
+def test_a_given_focal_length_that_is_another_cameras_is_told(tmp_path):
+    """A folder may hold photos of two cameras; the altitude grows with the focal length, and nothing was said."""
+    (tmp_path / "lens.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "fx": 1.25 * FOCAL}))
+    nominal = round(FOCAL * np.hypot(36, 24) / np.hypot(*SIZE))
+    path = write_photo(tmp_path / "a.jpg", exif={0xA405: nominal})
+    for given in ({"focal_px": 1.25 * FOCAL}, {"lens_file": tmp_path / "lens.json"}):
+        (note,) = open_photo(path, **given).tags.notes
+        assert f"({nominal} mm equivalent in EXIF), and {1.25 * FOCAL:.0f} px is given" in note
+        assert note.endswith("% too large")
+    assert open_photo(path, focal_px=0.7 * FOCAL).tags.notes[0].endswith("% too small")
+    assert not open_photo(path, focal_px=1.05 * FOCAL).tags.notes and not open_photo(path).tags.notes
+    assert not open_photo(write_photo(tmp_path / "b.jpg"), focal_px=1.25 * FOCAL).tags.notes, "it does not say"
+
+
 def test_each_photo_has_one_line_whatever_its_name(flight):
     """A line break in a name is shown, not printed; and why a photo was not measured does not name it again."""
     folder, rules = flight
