@@ -284,6 +284,15 @@ def test_the_summary_tells_which_courts_are_off_north_south(tmp_path):
     assert "ENE-WSW, 70 degrees off north-south" in said[2]
 
 
+def test_lines_are_drawn_where_they_lie_in_sixteenths_of_a_pixel(tmp_path):
+    """OpenCV counts from the middle of the first pixel, rasters from its corner."""
+    ground = open_ground(orthophoto(tmp_path))
+    window = draw.Window(100, 50, 200, 100)
+    metres = ground.to_metres(np.array([[100.5, 50.5], [104.75, 58.5]]))
+    assert draw._points(ground, window, 1.0, metres).tolist() == [[0, 0], [68, 128]]
+    assert draw._points(ground, window, 2.0, metres).tolist() == [[8, 8], [144, 264]]
+
+
 def test_the_north_arrow_has_one_size():
     arrows = [np.zeros((100, 100, 3), np.uint8) for _ in range(2)]
     for arrow, length in zip(arrows, (1, 5), strict=True):
@@ -538,6 +547,7 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert done.stdout.startswith("placed     4 of 5 facilities")
     assert done.stderr.startswith("error: 1 of 5 facilities does not fit: football\n")
     assert "football pitch (111.0 x 74.0 m with its run-off) does not fit" in done.stdout
+    assert "its layer" not in done.stdout  # the lot's file has one
     names = (
         "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"
     )
