@@ -19,7 +19,7 @@ class RioCommands(Commands):
         try:
             return super().invoke(ctx)
         except OrthoscaleError as error:
-            say(f"error: {error}", err=True)
+            say(*f"error: {error}".split("\n"), err=True)
             ctx.exit(error.exit_code)
 
 

@@ -45,6 +45,7 @@ UNITED = (
     "tests/test_systematic.py::test_vehicles_that_two_ways_measured_have_the_mean_that_errs_least_and_keep_their_noise"
 )
 CONSISTENT = "tests/test_consistency.py::"
+GIVEN_BOXES = "tests/test_colmap.py::test_frames_are_compared_where_boxes_are_given"
 FLIGHT = f"{CONSISTENT}test_other_programs_frames_of_another_flight"
 MUTANTS = (
     Mutant("system/signatures.py", "kept = content[len(content) - len(text) + 1 :]", 'kept = b""', EDITED),
@@ -487,6 +488,26 @@ MUTANTS = (
     ),
     Mutant("sources/json_model.py", "notes += check_frames(", "check_frames(", FLIGHT),
     Mutant("sources/text_model.py", "notes += check_frames(", "check_frames(", FLIGHT),
+    Mutant("sources/colmap.py", "if compare_frames:", "if need_images:", GIVEN_BOXES),
+    Mutant("actions/opening.py", "compare_frames=to_measure", "compare_frames=True", GIVEN_BOXES),
+    Mutant(
+        "photos/photo.py",
+        "if doubt := beside_tags(lens, tags):",
+        "if False:",
+        f"{PHOTO}test_a_given_focal_length_that_is_another_cameras_is_told",
+    ),
+    Mutant(
+        "layout/catalogue.py",
+        'side * aisle["aisle"] / 2',
+        'side * aisle["aisle"] / 3',
+        "tests/test_layout.py::test_parking_has_as_many_bays_as_asked_for",
+    ),
+    Mutant(
+        "layout/terminal.py",
+        "if f.north_south and place.from_north > TOLERANCE:",
+        "if not (f.north_south and place.from_north > TOLERANCE):",
+        "tests/test_layout.py::test_the_summary_tells_which_courts_are_off_north_south",
+    ),
     Mutant(
         "evaluate/surface.py",
         "stored[~np.isin(stored, NO_HEIGHT)]",

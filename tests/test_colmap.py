@@ -23,8 +23,10 @@ import pytest
 import rasterio
 from support.models import draw_points, make_model, patched, put_frames, save
 
-from orthoscale.core.remarks import CAUTION, REFUSAL, Remark
+from orthoscale.actions.opening import source_of
+from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, Remark
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
+from orthoscale.requests import EstimateRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
 from orthoscale.sources.colmap_tables import CAMERA_MODELS
@@ -511,11 +513,26 @@ def test_frames_of_another_flight(plain, tmp_path):
     assert ColmapSource.open(folder, tmp_path / "own").notes == []
     (note,) = ColmapSource.open(folder, tmp_path / "another").notes
     assert note.severity == REFUSAL and "may be of another flight" in note.text and "--images" in note.hint
-    assert ColmapSource.open(folder, tmp_path / "another", need_images=False).notes == []
+    (same,) = ColmapSource.open(folder, tmp_path / "another", need_images=False).notes  # as where boxes are given
+    assert same == note
+    assert ColmapSource.open(folder, tmp_path / "another", compare_frames=False).notes == []
     black = pycolmap.Reconstruction(plain)
     for point in black.points3D.values():
         point.color = np.zeros(3, np.uint8)
     assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
+
+
+def test_frames_are_compared_where_boxes_are_given(plain, tmp_path):
+    """They were not, so frames of another flight went unnoticed; without frames it goes on, as a copy is only found."""
+    folder = save(plain, tmp_path / "m", "bin")
+    request = EstimateRequest(detections=tmp_path / "boxes.json")
+    assert [note.severity for note in source_of(folder, request).notes] == [INFO]
+    images = sorted(plain.images.values(), key=lambda image: image.name)
+    for image, other in zip(images, images[1:] + images[:1], strict=True):
+        draw_points(plain, image, tmp_path / "images" / other.name)
+    (note,) = source_of(folder, request).notes
+    assert note.severity == REFUSAL and "may be of another flight" in note.text
+    assert source_of(folder, request, to_measure=False).notes == []
 
 
 def test_files_of_another_flight_among_the_frames(plain, tmp_path):
@@ -803,6 +820,7 @@ OPEN_ALL = """
 import json, sys, time
 from pathlib import Path
 from orthoscale.errors import InputError
+from orthoscale.requests import EstimateRequest
 from orthoscale.sources.colmap import ColmapSource
 refused, slowest = 0, 0.0
 for folder in sys.argv[1:]:

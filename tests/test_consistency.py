@@ -286,7 +286,8 @@ def test_other_programs_frames_of_another_flight(tmp_path, writer):
     assert open_source(path, tmp_path / "own").notes == []
     (note,) = open_source(path, tmp_path / "another").notes
     assert note.severity == REFUSAL and "may be of another flight" in note.text
-    assert open_source(path, tmp_path / "another", need_images=False).notes == []
+    assert open_source(path, tmp_path / "another", need_images=False).notes == [note]
+    assert open_source(path, tmp_path / "another", compare_frames=False).notes == []
 
 
 def unobserved(model: pycolmap.Reconstruction, folder: Path) -> Path:
@@ -319,7 +320,7 @@ def test_frames_are_compared_without_observations(tmp_path, writer):
     assert "holds no observations of its points" in unchecked.text and not more
     unchecked, note = open_source(path, tmp_path / "turned" / inner).notes
     assert note.severity == REFUSAL and "turned" in note.text
-    (unchecked,) = open_source(path, tmp_path / "turned" / inner, need_images=False).notes
+    (unchecked,) = open_source(path, tmp_path / "turned" / inner, compare_frames=False).notes
 
 
 def test_another_lens_is_told_without_observations(tmp_path):

@@ -368,6 +368,11 @@ def break_csv(text):
         ("visloc", lambda f: (f / "01" / "camera.xml").unlink(), "no camera.xml"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a.jpg 5e5 5e6 90 0 0 0\n"), "longitude"),
+        (
+            "visloc",
+            lambda f: (f / "02" / "reference.txt").write_text("a.jpg 200 48 90 0 0 0\n"),
+            "200, 48 is not a longitude",
+        ),
         ("visloc", lambda f: (f / "02" / "region02_dsm.tif").write_text("no raster"), "dsm.tif"),
         ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "no surface model"),
         (

@@ -84,6 +84,8 @@ def test_parking_has_as_many_bays_as_asked_for():
     f = parking("parking-US", 15)
     assert f.length == pytest.approx(8 * 2.74) and f.width == pytest.approx(2 * 5.49 + 7.32)
     assert len(f.lines) == 9 + 8  # eight bays on one side, seven on the other
+    assert [LineString(line).length for line in f.lines] == pytest.approx([5.49] * 17)  # and as deep as a bay
+    assert {abs(y) for line in f.lines for y in line[:, 1]} == {f.width / 2, 7.32 / 2}
 
 
 @pytest.mark.parametrize(("country", "width", "depth"), [
@@ -275,6 +277,29 @@ def test_given_places_are_kept_and_judged():
     assert missing[1].overlapping > 0 and "does not fit where it was asked for" in missing[1].sentence()
 
 
+def test_the_summary_tells_which_courts_are_off_north_south(tmp_path):
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    said = summary(plan(orthophoto(tmp_path), lot, ["badminton@15,25,0", "badminton@45,25,70"]), None)
+    assert "badminton court, 13.4 x 6.1 m, N-S" in said[1] and "off north-south" not in said[1]
+    assert "ENE-WSW, 70 degrees off north-south" in said[2]
+
+
+def test_lines_are_drawn_where_they_lie_in_sixteenths_of_a_pixel(tmp_path):
+    """OpenCV counts from the middle of the first pixel, rasters from its corner."""
+    ground = open_ground(orthophoto(tmp_path))
+    window = draw.Window(100, 50, 200, 100)
+    metres = ground.to_metres(np.array([[100.5, 50.5], [104.75, 58.5]]))
+    assert draw._points(ground, window, 1.0, metres).tolist() == [[0, 0], [68, 128]]
+    assert draw._points(ground, window, 2.0, metres).tolist() == [[8, 8], [144, 264]]
+
+
+def test_the_north_arrow_has_one_size():
+    arrows = [np.zeros((100, 100, 3), np.uint8) for _ in range(2)]
+    for arrow, length in zip(arrows, (1, 5), strict=True):
+        draw._north_arrow(arrow, length * np.array([0.6, -0.8]))
+    assert np.array_equal(*arrows) and arrows[0].any()
+
+
 def test_what_remains_when_the_scale_is_off():
     lot = box(0, 0, 40, 40)
     middle = [PlacedFacility(FACILITIES["basketball"], (20.0, 20.0), 0.0)]
@@ -455,7 +480,7 @@ def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     path = orthophoto(tmp_path, report=report)
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
     planned = plan(path, lot, ["basketball@30,25"])
-    said = summary(planned, None)
+    said = "\n".join(summary(planned, None))
     assert "true length 25.76 to 29.68 m (90 %)" in said and "10.00 cm/px (90 %: 9.20 to 10.60)" in said
     row = document(planned)["facilities"][0]
     assert (row["length_low"], row["length_high"]) == pytest.approx((28 * 0.92, 28 * 1.06)), (
@@ -522,6 +547,7 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert done.stdout.startswith("placed     4 of 5 facilities")
     assert done.stderr.startswith("error: 1 of 5 facilities does not fit: football\n")
     assert "football pitch (111.0 x 74.0 m with its run-off) does not fit" in done.stdout
+    assert "its layer" not in done.stdout  # the lot's file has one
     names = (
         "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"
     )

@@ -738,6 +738,6 @@ def test_a_heading_just_short_of_north_is_no_heading_of_360_degrees(tmp_path):
         "heading_deg": 359.97, "altitude_m": None, "inliers": 665, "needed": 183, "score": 0.75,
         "map_scale": {"value": 0.085, "low": 0.0838, "high": 0.0862}, "together": None, "agreement": {"said": ""},
     }  # fmt: skip
-    said = summary({"photos": [photo], "notes": []}, tmp_path)
+    said = "\n".join(summary({"photos": [photo], "notes": []}, tmp_path))
     assert "heading    0.0 degrees" in said and "longitude 9.000000, latitude 49.600000" in said
     assert "map 8.50 cm/px (90 %: 8.38 to 8.62)" in said

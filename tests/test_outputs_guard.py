@@ -215,6 +215,7 @@ def test_a_full_disk_is_an_output_error_and_a_broken_input_is_not(tmp_path):
         outputs.file(tmp_path / "a")
         raise OSError(28, "No space left on device")
     assert caught.value.exit_code == 6 and names(tmp_path) == []
+    assert "left behind" in caught.value.hint and "Check the free space" in caught.value.hint
     with pytest.raises(OutputError, match="full"), Outputs() as outputs:
         outputs.file(tmp_path / "a")
         raise sqlite3.OperationalError("database or disk is full")

@@ -42,6 +42,7 @@ from orthoscale.photos.photo import open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth
+from orthoscale.photos.terminal import _told
 from orthoscale.sources.lens import lens_of, read_calibration
 from orthoscale.sources.tags import Tags, read_tags
 from orthoscale.synthetic import Pose
@@ -786,6 +787,52 @@ def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
     assert table["photo"][3] == "all together" and places[3] is None and None not in places[:3]
     assert table["altitude_m"][3] == text["together"]["altitude_m"]
     assert len(pyogrio.raw.read(outputs[2], layer="footprints")[2]) == 2
+
+
+def test_a_given_focal_length_that_is_another_cameras_is_told(tmp_path):
+    """A folder may hold photos of two cameras; the altitude grows with the focal length, and nothing was said."""
+    (tmp_path / "lens.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "fx": 1.25 * FOCAL}))
+    nominal = round(FOCAL * np.hypot(36, 24) / np.hypot(*SIZE))
+    path = write_photo(tmp_path / "a.jpg", exif={0xA405: nominal})
+    for given in ({"focal_px": 1.25 * FOCAL}, {"lens_file": tmp_path / "lens.json"}):
+        (note,) = open_photo(path, **given).tags.notes
+        assert f"({nominal} mm equivalent in EXIF), and {1.25 * FOCAL:.0f} px is given" in note
+        assert note.endswith("% too large")
+    assert open_photo(path, focal_px=0.7 * FOCAL).tags.notes[0].endswith("% too small")
+    assert not open_photo(path, focal_px=1.05 * FOCAL).tags.notes and not open_photo(path).tags.notes
+    assert not open_photo(write_photo(tmp_path / "b.jpg"), focal_px=1.25 * FOCAL).tags.notes, "it does not say"
+
+
+def test_each_photo_has_one_line_whatever_its_name(flight):
+    """A line break in a name is shown, not printed; and why a photo was not measured does not name it again."""
+    folder, rules = flight
+    (folder / "c.jpg").rename(folder / "c\nmeasured   9 of 9 photos.jpg")
+    (folder / "d.jpg").write_bytes(b"")
+    lines = run(folder, *rules).stdout.splitlines()
+    assert [line for line in lines if line.startswith("measured")] == ["measured   2 of 4 photos (50 %)"]
+    assert sum(r"c\nmeasured   9 of 9 photos.jpg" in line for line in lines) == 1
+    (empty,) = [line.split(maxsplit=1) for line in lines if "d.jpg" in line]
+    assert empty == ["d.jpg", "not an image that can be read"]
+
+
+def test_of_many_different_texts_a_single_one_is_not_left_out():
+    """It would take as many lines to say so."""
+    assert len(_told("note", "abcde")) == 5 and not any("others" in line for line in _told("note", "abcde"))
+    assert _told("note", "abcdef")[4:] == ["note       and 2 others"]
+
+
+@pytest.mark.parametrize(
+    ("original", "changed", "taken"),
+    [
+        ("2024:03:08 16:19:54", "2024:05:01 10:00:00", "2024:03:08 16:19:54"),
+        ("    :  :     :  :  ", "2024:05:01 10:00:00", "2024:05:01 10:00:00"),
+        ("0000:00:00 00:00:00", None, ""),
+        (None, None, ""),
+    ],
+)
+def test_a_time_that_exif_does_not_know_is_none(tmp_path, original, changed, taken):
+    tags = {tag: text for tag, text in ((0x9003, original), (0x0132, changed)) if text is not None}
+    assert read_tags(write_photo(tmp_path / "a.jpg", exif=tags)).taken == taken
 
 
 def test_one_photo_is_answered_in_full(flight):

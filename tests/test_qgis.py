@@ -16,6 +16,9 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import rasterio
 
+from orthoscale.formats.detections import check_name
+from orthoscale.sources.raster import RasterSource
+
 ROOT = Path(__file__).parent.parent
 PLUGIN = ROOT / "qgis" / "orthoscale_qgis"
 # Debian's wrapper puts an option first that qgis_process does not know.
@@ -126,6 +129,7 @@ def plugin(monkeypatch):
     core.QgsProcessingException = type("QgsProcessingException", (Exception,), {})
     config = ModuleType("processing.core.ProcessingConfig")
     config.ProcessingConfig = type("ProcessingConfig", (), {"getSetting": staticmethod(lambda name: "")})
+    config.Setting = type("Setting", (), {})
     package = ModuleType("orthoscale_qgis")
     package.__path__ = [str(PLUGIN)]
     stands_in = {"qgis.core": core, "processing.core.ProcessingConfig": config, "orthoscale_qgis": package}
@@ -189,6 +193,16 @@ def test_vehicles_that_give_no_scale_are_shown_all_the_same(plugin, monkeypatch,
     else:
         with pytest.raises(sys.modules["qgis.core"].QgsProcessingException, match="too few"):
             algorithm.processAlgorithm({}, None, feedback)
+
+
+def test_qgis_offers_only_files_that_the_program_writes(plugin):
+    """Its default may be another, such as a shapefile; an algorithm is not asked for them, only the provider."""
+    provider = plugin("provider").Provider()
+    for ending in provider.supportedOutputRasterLayerExtensions():
+        RasterSource.check_name(Path(f"out.{ending}"))
+    for ending in provider.supportedOutputVectorLayerExtensions():
+        check_name(Path(f"out.{ending}"))
+    assert not any("def supportedOutput" in path.read_text() for path in PLUGIN.glob("*.py") if path.stem != "provider")
 
 
 def test_options_that_the_plugin_passes_exist():

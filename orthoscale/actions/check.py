@@ -79,7 +79,7 @@ def checked(
     on_boxes: OnBoxes | None = None,
 ) -> Checked:
     """Check the input at `path` as `request` says; see `check`. on_boxes : as in `measured`."""
-    source = source_of(path, request, request.needs_pictures, progress)
+    source = source_of(path, request, progress)
     require_claim(source)
     result = measured(source, request, progress, on_boxes)
     found = comparisons(result)

@@ -50,7 +50,7 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
     report = None if request.overwrite or not out.exists() else report_of(out)
     if report is None:
         return None
-    source = source_of(path, request, need_images=False)
+    source = source_of(path, request, to_measure=False)
     if why := _otherwise(source, out, request, report):
         raise UsageError(f"{out} already exists, and {why}", REPLACE if ours(out) else ELSEWHERE)
     return report, source

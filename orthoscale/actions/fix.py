@@ -132,7 +132,7 @@ def _begin(
     if save_detections is not None:
         check_name(save_detections)
         outputs.check(save_detections)
-    source = source_of(path, request, request.needs_pictures, progress)
+    source = source_of(path, request, progress)
     request.check_for(source)
     writer = _writer(source, out, request)
     if source.metric_already and not request.override:  # an existing scale is replaced only if the user says so

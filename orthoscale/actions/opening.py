@@ -46,14 +46,22 @@ class Opened:
 
 
 def source_of(
-    path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
+    path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None, to_measure: bool = True
 ) -> Source:
     """The input at `path`, opened as `request` says, after its fleet was found to be one: an input may be large. A
-    source is returned as it is. progress : for reading its dense cloud. Raises InputError, UsageError."""
+    source is returned as it is. progress : for reading its dense cloud. to_measure : False if only its files count, not
+    what its frames show. Raises InputError, UsageError."""
     if not isinstance(path, (str, Path)) and hasattr(path, "posed"):  # isinstance would read all that a source offers
         return path
     named_fleet(request.fleet, None)
-    return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
+    return open_source(
+        path_of(path, AN_INPUT),
+        request.images,
+        need_images=to_measure and request.needs_pictures,
+        ground_cloud=request.ground_cloud,
+        progress=progress,
+        compare_frames=to_measure,
+    )
 
 
 def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
@@ -63,7 +71,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     """
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     named = named_fleet(request.fleet, known)
-    source = source_of(path, request, request.needs_pictures, progress)
+    source = source_of(path, request, progress)
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given, why = given_evidence(source, request), (*why, *_gps(source, request).notes)

@@ -87,4 +87,4 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     lines += [f"note       {note}" for note in told["notes"]]
     if out is not None:
         lines.append(f"written    {out}")
-    say("\n".join(lines))
+    say(*lines)

@@ -38,4 +38,4 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
         say_json({"scale": Sim3.load(sim3).scale, "written": texts})
         return
     for path, notes in written.items():
-        say(f"written    {path}" + "".join(f"\n           {note}" for note in notes))
+        say(f"written    {path}", *(f"           {note}" for note in notes))

@@ -88,4 +88,4 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
         lines.append(f"note       {NO_MEASURER}")
     if out is not None:
         lines.append(f"written    {out}")
-    say("\n".join(lines))
+    say(*lines)

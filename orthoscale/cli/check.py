@@ -100,7 +100,7 @@ def check(
         )
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         boxes = KeptBoxes(outputs, save_detections)
-        source = source_of(path, request, request.needs_pictures, progress)
+        source = source_of(path, request, progress)
         outputs.protect(*source.files)
         boxes.check(source)
         with boxes.also_without_scale():
@@ -154,8 +154,8 @@ def _against_model(
         not_of_model.add("measurer")
     of_ortho, of_model = request.without(OF_MODEL), request.without(not_of_model, detections=model_detections)
     with progress_bars() as progress:
-        plan = source_of(path, of_ortho, of_ortho.needs_pictures)
-        posed = source_of(model, of_model, of_model.needs_pictures, progress)
+        plan = source_of(path, of_ortho)
+        posed = source_of(model, of_model, progress)
         plan_and_posed(plan, posed)
         if dry_run:
             tell_rehearsals([rehearsal(path, of_ortho), rehearsal(model, of_model)], as_json)

@@ -112,7 +112,7 @@ def crop(
         *(f"note       {note}" for note in shown.told.get("notes", ())),
         f"written    {out}: query.jpg, gallery/, manifest.csv, crop.json",
     ]
-    say("\n".join(lines))
+    say(*lines)
 
 
 def _place(at: str | None) -> tuple[float, float] | None:

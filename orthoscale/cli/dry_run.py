@@ -61,7 +61,7 @@ def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = F
     """Print the rows of every `rehearsal`; in JSON, each label has a list of its texts."""
     if not as_json:
         for rows in told:
-            say("\n".join(f"{label:10s} {text}" for label, text in rows))
+            say(*(f"{label:10s} {text}" for label, text in rows))
         return
     inputs: list[dict[str, list[str]]] = [{} for _ in told]
     for one, rows in zip(inputs, told, strict=True):

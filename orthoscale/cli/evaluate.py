@@ -142,15 +142,15 @@ def evaluate(
         with boxes.telling():
             if search is None:
                 text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
-                shown = report.tables(text, written)
+                lines = report.tables(text, written)
             else:
                 from ..evaluate import locating
 
                 text = locating.document(search, found, ruler, notes, progress)
-                shown = "\n".join([locating.table(text), *(f"written    {output}" for output in written)])
+                lines = [*locating.table(text), *(f"written    {output}" for output in written)]
         for partial in partials:
             report.write(text, partial)
-    say_json(text) if as_json else say(shown)
+    say_json(text) if as_json else say(*lines)
 
 
 def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:

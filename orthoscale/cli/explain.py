@@ -25,4 +25,4 @@ def explain(report: Path, as_json: bool) -> None:
     from ..report.stored import read_json
 
     found = explanation.explain(read_json(report))
-    say_json(found) if as_json else say(explanation.in_words(found))
+    say_json(found) if as_json else say(*explanation.in_words(found))

@@ -92,7 +92,7 @@ def _from_register(path: Path, out: Path, overwrite: bool, as_json: bool) -> Non
     if len(register.unknown) > MOST_UNKNOWN:
         rest = sum(share for _, share in register.unknown[MOST_UNKNOWN:])
         lines.append(f"not known  {len(register.unknown) - MOST_UNKNOWN} more: {100 * rest:.1f} %")
-    say("\n".join([*lines, f"written    {out}"]))
+    say(*lines, f"written    {out}")
 
 
 def _plain(fleet: Fleet) -> dict[str, Any]:

@@ -126,7 +126,7 @@ def layout(
         outputs.protect(*made.ground.source.files)
         if folder is not None:
             export.write(made, folder)
-    say_json(planning.document(made)) if as_json else say(summary(made, out))
+    say_json(planning.document(made)) if as_json else say(*summary(made, out))
     if made.missing:  # after the layout is written and printed; the exit code keeps scripts from taking it for complete
         count, names = len(made.missing), ", ".join(dict.fromkeys(m.facility.code for m in made.missing))
         raise TooLittleRoom(

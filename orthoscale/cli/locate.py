@@ -119,7 +119,7 @@ def locate(
     else:
         from ..locate.terminal import summary
 
-        say(summary(found.to_dict(), out))
+        say(*summary(found.to_dict(), out))
     failure = all_failed(found.outcomes)
     if failure is not None:
         raise failure

@@ -108,7 +108,7 @@ def main() -> None:
     except click.ClickException as error:
         text = io.StringIO()
         error.show(text)
-        say(text.getvalue().rstrip("\n"), err=True)
+        say(*text.getvalue().rstrip("\n").split("\n"), err=True)
         if isinstance(error, click.NoSuchOption) and any(error.option_name in each.opts for each in cli.params):
             say(f"It goes before the command: orthoscale {error.option_name} COMMAND ...", err=True)
         sys.exit(error.exit_code)
@@ -141,4 +141,4 @@ def _complain(message: str, hint: str, debug: bool) -> None:
     except OSError:  # then no relative path leads anywhere
         hint = "The current folder has been removed: enter one that exists (cd), and run again."
     if hint:
-        say(hint, err=True)
+        say(*hint.split("\n"), err=True)

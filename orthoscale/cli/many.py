@@ -144,7 +144,7 @@ def _tell(rows: Sequence[Row], former: set[str]) -> None:
         named = "" if row["error"].startswith(printable(row["input"], LONGEST_MESSAGE)) else f"{row['input']}: "
         say(f"  {named}{row['error']} (exit code {row['exit_code']})", err=True)
         if row["hint"]:
-            say(f"    {row['hint']}", err=True)
+            say(*(f"    {text}" for text in row["hint"].split("\n")), err=True)
 
 
 def line(row: Row) -> str:

@@ -80,18 +80,18 @@ class AnyPath(click.Path):
 PATH = AnyPath()
 
 
-def say(text: str, err: bool = False) -> None:
-    """Print lines that may contain names from files, with control characters escaped.
+def say(*lines: str, err: bool = False) -> None:
+    """Print `lines`, which may contain names from files: control characters in them are escaped, line breaks too.
 
     err : on standard error, where what cannot be printed is lost: nobody can be told of it, and no work may end for it.
     Else raises what `printing` raises.
     """
-    lines = "\n".join(shown(line, 20_000) for line in text.split("\n"))
+    text = "\n".join(shown(line, 20_000) for line in lines)
     if not err:
-        echo(lines)
+        echo(text)
         return
     with suppress(OSError):
-        click.echo(lines, err=True)
+        click.echo(text, err=True)
 
 
 def say_json(values: Any) -> None:

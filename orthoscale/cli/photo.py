@@ -93,4 +93,4 @@ def photo(
         from ..photos.terminal import summary
 
         written = outputs if save_detections is None else (*outputs, save_detections)
-        say(summary(outcomes, text, pooled, written))
+        say(*summary(outcomes, text, pooled, written))

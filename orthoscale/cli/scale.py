@@ -199,7 +199,7 @@ def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = 
         if outcome.result is not None:
             show(outcome.result, {} if out is None else _written(outcome.result, out / outcome.model.name, report))
         else:
-            say(f"no scale   {outcome.error}")
+            say(*f"no scale   {outcome.error}".split("\n"))
 
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:

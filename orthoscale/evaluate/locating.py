@@ -173,8 +173,8 @@ def summary(results: Sequence[LocateTrial], photos: int) -> dict[str, Any]:
     }
 
 
-def table(text: Mapping[str, Any]) -> str:
-    """The curve for a terminal."""
+def table(text: Mapping[str, Any]) -> list[str]:
+    """The curve as lines for a terminal."""
     near, far = f"{NEAR_M:g} m", f"{FAR_M:g} m"
     heads = ("scale", "searched", f"best {near}", f"best {far}", "answered", near, far, "wrong")
     lines = ["".join(f"{head:>11s}" for head in heads)]
@@ -187,4 +187,4 @@ def table(text: Mapping[str, Any]) -> str:
         low, middle, high = text["estimated_over_true"]
         lines.append(f"ratio      estimated over true scale {middle:.3f} in the median ({low:.3f} to {high:.3f})")
     lines += [f"note       {note}" for note in text["notes"]]
-    return "\n".join(lines)
+    return lines

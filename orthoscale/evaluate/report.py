@@ -91,8 +91,8 @@ def write(text: dict[str, Any], path: Path) -> None:
         write_csv(path, list(text["rows"][0]), text["rows"])
 
 
-def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:
-    """One table for each question; errors in per cent."""
+def tables(text: dict[str, Any], outputs: Sequence[Path]) -> list[str]:
+    """Lines of a table for each question; errors in per cent."""
     lines = [
         _line(
             "method", "region", "photos", "used", "ratio", "vehicles", "altitude", "MAPE", "median", "bias", "in 90 %"
@@ -111,7 +111,7 @@ def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:
         lines += _ablation_table(text, method) + _sensitivity_table(text, method)
     lines += [f"note       {note}" for note in text["notes"]]
     lines += [f"written    {path}" for path in outputs]
-    return "\n".join(lines)
+    return lines
 
 
 def _ablation_table(text: dict[str, Any], method: str) -> list[str]:

@@ -11,8 +11,8 @@ from .place import TOLERANCE
 from .plan import Layout
 
 
-def summary(layout: Layout, out: Path | None) -> str:
-    """The summary in a few lines. out : the folder that was written, if any."""
+def summary(layout: Layout, out: Path | None) -> list[str]:
+    """The summary, a few lines. out : the folder that was written, if any."""
     ground = layout.ground
     count = len(layout.placed) + len(layout.missing)
     used = sum(p.full_area.area for p in layout.placed)
@@ -43,7 +43,7 @@ def summary(layout: Layout, out: Path | None) -> str:
     lines += [f"note       {note}" for note in layout.notes]
     if out is not None:
         lines.append(f"written    {out}: see overlay.png")
-    return "\n".join(lines)
+    return lines
 
 
 def catalogue_values(path: Path | None) -> list[dict[str, Any]]:

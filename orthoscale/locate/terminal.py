@@ -8,7 +8,7 @@ from typing import Any
 from ..core.scale import with_interval
 
 
-def summary(text: dict[str, Any], out: Path) -> str:
+def summary(text: dict[str, Any], out: Path) -> list[str]:
     """Lines for the result `text` of `outcome.document`, and the names of the files in the folder `out`."""
     lines: list[str] = []
     for photo in text["photos"]:
@@ -16,7 +16,7 @@ def summary(text: dict[str, Any], out: Path) -> str:
     lines += [f"note       {note}" for note in text["notes"]]
     files = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
     lines.append(f"written    {out}: {', '.join(files)}")
-    return "\n".join(lines)
+    return lines
 
 
 def _lines(photo: dict[str, Any]) -> list[str]:

@@ -14,7 +14,7 @@ from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..errors import InputError, UsageError
 from ..sources.distortion import undistort
-from ..sources.lens import Lens, lens_of
+from ..sources.lens import Lens, beside_tags, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import Tags, read_tags
 
@@ -127,6 +127,8 @@ def open_photo(
         lens = lens_of(tags, lens_file, focal_px)
     except InputError as error:
         raise InputError(f"{path}: {error.message}", error.hint) from error
+    if doubt := beside_tags(lens, tags):
+        tags = replace(tags, notes=(*tags.notes, doubt))
     if pitch is not None:
         if not -90 <= pitch < 0:
             raise UsageError(f"--pitch must lie between -90 (straight down) and 0 (the horizon), not {pitch:g}")

@@ -153,7 +153,7 @@ def open_photos(
     if not photos:
         first = next(iter(errors.values()))
         raise InputError(f"none of {len(errors)} photos can be used; {first.message}", first.hint)
-    return photos, {name: error.message for name, error in errors.items()}
+    return photos, {name: error.message.removeprefix(f"{paths[name]}: ") for name, error in errors.items()}
 
 
 def measure_each(

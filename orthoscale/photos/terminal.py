@@ -18,8 +18,8 @@ MOST_TOLD = 4  # different texts of one kind that are told
 
 def summary(
     outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], together: PhotoScale | None, outputs: Sequence[Path]
-) -> str:
-    """The summary in a few lines: one photo in full, many as a table."""
+) -> list[str]:
+    """The summary, a few lines: one photo in full, many as a table."""
     if together is not None:
         lines = _in_full(together)
         lines.append(f"vehicles   {together.scale.vehicles_used} of {text['together']['boxes']} boxes used, in "
@@ -48,7 +48,7 @@ def summary(
     for got in (together, *(o.measured for o in outcomes)):
         lines += [f"{r.label:10s} {got.photo.name}: {r.text}" for r in got.scale.remarks] if got else []
     lines += [f"written    {path}" for path in outputs]
-    return "\n".join(lines)
+    return lines
 
 
 def _in_full(got: PhotoScale) -> list[str]:
@@ -111,8 +111,6 @@ def _told(what: str, texts: Sequence[str]) -> list[str]:
     """Each different text once, with the number of photos that have it."""
     counts = Counter(texts)
     many = len(counts) > 1
-    lines = [
-        f"{what:10s} {text}" + (f" ({amount(count, 'photos')})" if many else "")
-        for text, count in counts.most_common(MOST_TOLD)
-    ]
-    return lines + ([f"{what:10s} and {len(counts) - MOST_TOLD} others"] if len(counts) > MOST_TOLD else [])
+    told = counts.most_common(None if len(counts) == MOST_TOLD + 1 else MOST_TOLD)  # one more takes no more room
+    lines = [f"{what:10s} {text}" + (f" ({amount(count, 'photos')})" if many else "") for text, count in told]
+    return lines + ([f"{what:10s} and {len(counts) - len(told)} others"] if len(counts) > len(told) else [])

@@ -19,8 +19,8 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     return {"scale": scale, "unit": unit, "verdict": report["verdict"], **found, "remarks": said}
 
 
-def in_words(explanation: Mapping[str, Any]) -> str:
-    """The explanation as text."""
+def in_words(explanation: Mapping[str, Any]) -> list[str]:
+    """The explanation as lines of text."""
     e = explanation
     lines = [
         f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {percent(e['relative_sd'])} (1 sigma).",
@@ -38,4 +38,4 @@ def in_words(explanation: Mapping[str, Any]) -> str:
         lines += [f"  {percent(r['leaves'])}  {r['do']}" for r in e["remedies"]]
     if e["remarks"]:
         lines += ["", "Noted in the report:", *(f"  {remark}" for remark in e["remarks"])]
-    return "\n".join(lines)
+    return lines

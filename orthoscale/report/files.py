@@ -98,7 +98,7 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     clouds = [cloud] if of_plan(report) else dict.fromkeys([cloud, NO_CLOUD])  # one may lie beside the model only since
     try:
         for each in clouds:
-            source = open_source(found, images, need_images=False, ground_cloud=each)
+            source = open_source(found, images, need_images=False, ground_cloud=each, compare_frames=False)
             if source.content_hash() == report["input"]["sha256"]:
                 why = replaced_inputs(report, source)
                 return (None, why) if why else (source, "")

@@ -33,8 +33,10 @@ def read_json(path: Path) -> dict[str, Any]:
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
     report = read_plain(path, "a report", hint, LARGE)
     found = report.get("format") if isinstance(report, dict) else None
+    if not found:
+        raise InputError(f"{path}: not a report of a scale (it does not name its format, {FORMAT!r})", hint)
     if found != FORMAT:
-        told = f"format {shown(str(found))!r}" if found else "no format"
-        raise InputError(f"{path}: a report of another version ({told}, expected {FORMAT!r})", hint)
+        told = f"format {shown(str(found))!r}"
+        raise InputError(f"{path}: a report of another kind or version ({told}, expected {FORMAT!r})", hint)
     checked(report, Report, str(path), "a report", hint)
     return each_text(report, out_of_utf8)

@@ -80,12 +80,15 @@ class ColmapSource:
     _loose: frozenset[str] = frozenset()  # names of `loose_images`, which are left out
 
     @classmethod
-    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
+    def open(
+        cls, path: Path | str, images: Path | str | None = None, need_images: bool = True, compare_frames: bool = True
+    ) -> ColmapSource:
         """Open the model at or below `path` (see `colmap_check.open_model`) and find its frames.
 
         images : the folder that image names are relative to; by default `images/` and the like are looked for beside
             and above the model. need_images : False if detections are given: then missing frames are a note, not an
-            error.
+            error. compare_frames : whether frames that are found are compared with the model (`check_frames`); False
+            where nothing is measured.
 
         Raises InputError for a missing, damaged or inconsistent model (`check_consistency`), missing frames, or frames
         of another size than their camera.
@@ -103,7 +106,7 @@ class ColmapSource:
             sizes = f"{', '.join(most)} and {last} images"
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
-        if need_images:
+        if compare_frames:
             told = all_points_seen(model) if len(files.seen.image) else points_projected(model)
             notes += check_frames(model, pictures, told)
         if note := pose_priors(files.folder):
@@ -395,7 +398,7 @@ class ColmapSource:
 def _reopened(
     kind: type[ColmapSource], path: Path, images: Path | None, need: bool, cloud: DenseCloud | None, notes: list[Remark]
 ) -> ColmapSource:
-    return replace(kind.open(path, images, need), cloud=cloud, notes=notes)
+    return replace(kind.open(path, images, need, compare_frames=False), cloud=cloud, notes=notes)
 
 
 def scale_model(
@@ -406,7 +409,7 @@ def scale_model(
     metric : cameras [m] of the model for which the scale was measured. Raises InputError; UsageError for a model that
     is in metres already, and for another model, whose cameras of the same names stand elsewhere.
     """
-    model = ColmapSource.open(source, need_images=False)
+    model = ColmapSource.open(source, need_images=False, compare_frames=False)
     if model.by_orthoscale:
         raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
     refuse_another(source, model.centres, metric, scale)

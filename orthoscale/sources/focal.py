@@ -46,7 +46,6 @@ SYSTEMATIC = 10.0
 OPEN = 0.03  # relative one-sigma from which a focal length counts as open: the lean of vehicles is off by as much
 FOCAL_UNKNOWN = 0.5  # from which it is as good as unknown: within two sigmas it may be anything
 FOCAL_FRAMES = 12  # whose EXIF is read, spread evenly over the model: its lens may change on the way
-FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 LONGEST_LENS = 2.5  # longer sides of the picture: 90 mm on full frame; aerial cameras have two at most
 LENS_UNKNOWNS = 3  # columns shared by all images of a camera: focal length, and two of radial distortion
 
@@ -119,11 +118,7 @@ def _far(
     so: str = ": flat scenes leave it open; heights are then off by as much, the scale hardly",
 ) -> str:
     """A note if most tags give focal lengths far from the model's. so : what follows from that."""
-    far = [
-        (abs(has / lens.focal_px - 1), name, lens, has)
-        for name, lens, has in told
-        if abs(has / lens.focal_px - 1) > max(FOCAL_FAR, 2 * lens.sd)
-    ]
+    far = [(abs(has / lens.focal_px - 1), name, lens, has) for name, lens, has in told if lens.contradicts(has)]
     if 2 * len(far) <= len(told):
         return ""
     _, name, lens, has = max(far, key=lambda each: each[0])

@@ -63,7 +63,9 @@ class ExchangeSource(OneFileSource):
     """A reconstruction in one JSON file, with its frames. Made by `ExchangeSource.open`."""
 
     @classmethod
-    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
+    def open(
+        cls, path: Path | str, images: Path | str | None = None, need_images: bool = True, compare_frames: bool = True
+    ) -> ExchangeSource:
         """Open the file `path`; otherwise like `ColmapSource.open`. Raises InputError."""
         path = Path(path)
         stamp = Stamp.of(path)
@@ -74,7 +76,7 @@ class ExchangeSource(OneFileSource):
         consistency = check_consistency(path, model, seen, loose)
         pictures, missing = find_frames(model, path.parent, images, need_images, loose)
         notes = [*informing(said), *consistency, *missing]
-        if need_images:
+        if compare_frames:
             told = points_seen(model, seen) if len(seen.image) else points_projected(model)
             notes += check_frames(model, pictures, told)
         images = None if images is None else Path(images)

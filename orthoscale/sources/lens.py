@@ -28,6 +28,7 @@ CALIBRATED_SD, MAKERS_SD, FOCAL_TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0
 ROUNDING_MM = 0.29
 LENS_HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
 LARGEST_VALUE = 1e7  # of a camera's size and parameters [px]
+FOCAL_FAR = 0.1  # relative: focal lengths of EXIF are nominal, good to some per cent
 IMPLAUSIBLE = 0.25  # [log] a focal length this far from the nominal one is in another unit, or for another image size
 
 
@@ -43,6 +44,10 @@ class Lens:
     def focal_px(self) -> float:
         """The geometric mean of both axes' focal lengths [px]."""
         return math.sqrt(self.camera.focal_length_x * self.camera.focal_length_y)
+
+    def contradicts(self, focal_px: float) -> bool:
+        """Whether another focal length [px] for the same photo is so far from this one that one of them is wrong."""
+        return abs(focal_px / self.focal_px - 1) > max(FOCAL_FAR, 2 * self.sd)
 
 
 def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = None) -> Lens:
@@ -77,6 +82,21 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
             "Give it in pixels (--focal-px), or a calibration file (--lens).",
         )
     return nominal
+
+
+def beside_tags(given: Lens, tags: Tags) -> str:
+    """What to say of a `given` lens that contradicts the photo's own `tags`, as of another camera; else empty."""
+    try:
+        own = lens_of(tags)
+    except InputError:  # it does not say
+        return ""
+    if not own.contradicts(given.focal_px):
+        return ""
+    off = given.focal_px / own.focal_px - 1
+    return (
+        f"its focal length is {own.focal_px:.0f} px by its tags ({own.source}), and {given.focal_px:.0f} px is given: "
+        f"if that is of another camera, the altitude is {abs(off):.0%} too {'large' if off > 0 else 'small'}"
+    )
 
 
 def _share(tags: Tags) -> tuple[float, tuple[int, int]]:

@@ -29,12 +29,14 @@ def open_source(
     need_images: bool = True,
     ground_cloud: str | Path | None = None,
     progress: Progress | None = None,
+    compare_frames: bool = True,
 ) -> Source:
     """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError;
     UsageError if `images` are given for an image.
 
     ground_cloud : dense cloud or workspace of a reconstruction; by default one is searched for beside it, and NO_CLOUD
-    means none. progress : of reading the cloud, once the ground is needed.
+    means none. progress : of reading the cloud, once the ground is needed. images, need_images, compare_frames : see
+    `ColmapSource.open`.
     """
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
@@ -43,14 +45,14 @@ def open_source(
         if text.suffix.lower() in SUFFIXES:
             from .text_model import TextSource
 
-            return _on_cloud(TextSource.open(text, images, need_images), ground_cloud, progress)
+            return _on_cloud(TextSource.open(text, images, need_images, compare_frames), ground_cloud, progress)
         from .json_model import ExchangeSource
 
-        return _on_cloud(ExchangeSource.open(text, images, need_images), ground_cloud, progress)
+        return _on_cloud(ExchangeSource.open(text, images, need_images, compare_frames), ground_cloud, progress)
     if path.is_dir():
         from .colmap import ColmapSource
 
-        return _on_cloud(ColmapSource.open(path, images, need_images), ground_cloud, progress)
+        return _on_cloud(ColmapSource.open(path, images, need_images, compare_frames), ground_cloud, progress)
     if path.name in FILE_NAMES:
         raise InputError(f"{path} is one file of a COLMAP model", f"Give the folder that holds them all: {path.parent}")
     if images is not None:

@@ -26,7 +26,7 @@ def points_in_metres(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
     if not (folder / SCALED_MARK).is_file():
         return None
     try:
-        model = open_source(folder, need_images=False, ground_cloud=NO_CLOUD)
+        model = open_source(folder, need_images=False, ground_cloud=NO_CLOUD, compare_frames=False)
     except InputError:
         return None
     if not isinstance(model, ColmapSource) or not os.path.samefile(model.folder, folder):  # it is in a folder below

@@ -152,7 +152,7 @@ def read_tags(path: Path) -> Tags:
         full_height=int(full_height) if full_width and full_height else None,
         make=str(base.get(0x010F, "")).strip("\0 "),
         model=str(base.get(0x0110, "")).strip("\0 "),
-        taken=str(exif.get(0x9003, base.get(0x0132, ""))).strip("\0 "),
+        taken=_taken(exif.get(0x9003)) or _taken(base.get(0x0132)),
         lon_lat=_lon_lat(gps),
         relative_altitude=_number(xmp.get("RelativeAltitude", xmp.get("AboveGroundAltitude"))),
         altitude=_altitude(gps),
@@ -279,6 +279,12 @@ def _altitude(gps: Mapping[int, Any]) -> float | None:
     """Altitude [m], negative below the sea or the ellipsoid, which EXIF says by a number of its own."""
     told = _number(gps.get(6))
     return -abs(told) if told is not None and gps.get(5) in BELOW_ZERO else told
+
+
+def _taken(value: Any) -> str:
+    """The time that EXIF tells, as text; empty where it is not known: EXIF writes that as blanks or zeros."""
+    text = "" if value is None else str(value).strip("\0 ")
+    return text if any(digit in text for digit in "123456789") else ""
 
 
 def _letter(value: Any) -> str:

@@ -34,7 +34,9 @@ class TextSource(OneFileSource):
     """A reconstruction in one text file, with its frames. Made by `TextSource.open`."""
 
     @classmethod
-    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> TextSource:
+    def open(
+        cls, path: Path | str, images: Path | str | None = None, need_images: bool = True, compare_frames: bool = True
+    ) -> TextSource:
         """Open the file `path`; otherwise like `ColmapSource.open`, but the frames must exist. Raises InputError."""
         path = Path(path)
         stamp = Stamp.of(path)
@@ -55,7 +57,7 @@ class TextSource(OneFileSource):
         notes += check_consistency(path, model, seen, loose)
         pictures, remarks = find_frames(model, path.parent, root, need_images, loose)
         notes += remarks
-        if need_images:
+        if compare_frames:
             notes += check_frames(model, pictures, points_seen(model, seen))
         found = path.parent, path.suffix, pictures, notes, (path, *lists), model
         return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)

@@ -140,7 +140,10 @@ class Outputs:
         if isinstance(name, (str, bytes)) and not any(claim.concerns(name) for claim in self._claims):
             return InputError(f"{os.fsdecode(name)}: cannot be read ({reason})", "Check the file and its permissions.")
         place = self._claims[0].path if self._claims else "the output"
-        return OutputError(f"{place}: writing failed ({reason})", "Nothing was left behind.")
+        return OutputError(
+            f"{place}: writing failed ({reason})",
+            "Nothing was left behind. Check the free space on its disk, and run again.",
+        )
 
     def check(self, path: Path, mine: Callable[[Path], bool] | None = None) -> tuple[int, ...] | None:
         """Refuse early what `file` or `folder` would refuse; returns the identity of what will be replaced, None if

@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
+from ..errors import LONGEST_MESSAGE, shown
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))  # not on Windows
 written: list[str] = []  # outputs that are in place already
 _state = {"received": 0, "held": 0, "said": 0}
@@ -25,7 +27,9 @@ class Stopped(KeyboardInterrupt):
 
 def sentence() -> str:
     """What a stopped run has written, as a message."""
-    return "stopped; " + (f"already written: {', '.join(written)}" if written else "nothing was written")
+    return "stopped; " + (
+        f"already written: {shown(', '.join(written), LONGEST_MESSAGE)}" if written else "nothing was written"
+    )
 
 
 def say(write: Callable[[str], object]) -> None:

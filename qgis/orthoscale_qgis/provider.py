@@ -21,6 +21,14 @@ class Provider(QgsProcessingProvider):
         """As people read it."""
         return "orthoscale"
 
+    def supportedOutputRasterLayerExtensions(self):
+        """As which files the program writes rasters; QGIS offers no others, whatever its default is."""
+        return ["tif", "tiff"]
+
+    def supportedOutputVectorLayerExtensions(self):
+        """The same of layers."""
+        return ["gpkg", "geojson"]
+
     def load(self):
         """Make the setting, then the algorithms."""
         ProcessingConfig.settingIcons[self.name()] = self.icon()

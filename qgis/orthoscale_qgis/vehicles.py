@@ -36,10 +36,6 @@ class Vehicles(OrthoscaleAlgorithm):
         )
         self.add_scale()
 
-    def supportedOutputVectorLayerExtensions(self):
-        """What the program writes."""
-        return ["gpkg", "geojson"]
-
     def processAlgorithm(self, parameters, context, feedback):
         """Call the program; QGIS loads the layer, also one whose boxes give no scale."""
         out = self.parameterAsOutputLayer(parameters, self.OUTPUT, context)

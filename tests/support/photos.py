@@ -30,7 +30,7 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
     image = Image.new("RGB", size, (120, 120, 120))
     tags = Image.Exif()
     for tag, value in dict(exif).items():
-        (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
+        (tags if tag in (0x010F, 0x0110, 0x0112, 0x0132) else tags.get_ifd(0x8769))[tag] = value
     if gps:
         add_gps(tags, *gps)
     inner, _, elements = xmp.partition("|")
