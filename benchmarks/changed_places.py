@@ -110,6 +110,16 @@ def _watermarked(pixels: np.ndarray) -> np.ndarray:
     return cv2.addWeighted(pixels, 0.55, marked, 0.45, 0)
 
 
+def _with_holes(pixels: np.ndarray) -> np.ndarray:
+    """With black holes of 20 to 80 px over two fifths of it, which cut most vehicles, as where a mosaic has gaps."""
+    random = np.random.default_rng(1)
+    holes = np.zeros(pixels.shape[:2], np.uint8)
+    while holes.mean() < 0.4:
+        place = random.integers((pixels.shape[1], pixels.shape[0])).tolist()
+        cv2.ellipse(holes, place, random.integers(10, 40, 2).tolist(), float(random.uniform(0, 180)), 0, 360, 1, -1)
+    return np.where(holes[..., None] > 0, np.uint8(0), pixels)
+
+
 def _write(
     picture: np.ndarray,
     text: str,
@@ -146,6 +156,7 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     ),
     "on a map sheet": (1, _on_a_sheet),
     "with a watermark": (1, _watermarked),
+    "with holes": (1, _with_holes),
 }  # fmt: skip
 
 
