@@ -125,6 +125,12 @@ class Detections:
         """Number of `doubtful` boxes."""
         return sum(map(len, self.doubtful.values()))
 
+    @property
+    def uncounted(self) -> dict[str, int]:
+        """Number of boxes that were detected but do not count, by reason."""
+        aside = {why: sum(map(len, boxes.values())) for why, boxes in self.set_aside.items()}
+        return {UNCONFIRMED: self.unconfirmed, **aside}
+
     def setting_aside(self, why: str, boxes: Mapping[str, Boxes]) -> Detections:
         """The same with more `boxes` set aside, by picture name, for the reason `why`."""
         aside = dict(self.set_aside.get(why, {}))

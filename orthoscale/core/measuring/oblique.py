@@ -30,7 +30,6 @@ from ..votes import Votes, view_weights
 from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
-from .measure import doubts
 from .measurement import Findings, SelfCalibration
 from .method import VARIANTS_BY_NAME, Method
 from .model_drift import model_drift
@@ -82,7 +81,7 @@ class FramesGeometry:
         Raises TooLittleEvidence.
         """
         parts, names, views, places = [], [], [], []
-        lost = doubts(found)
+        lost = found.uncounted
         for name, boxes in found.boxes.items():
             if not len(boxes):
                 continue

@@ -27,7 +27,6 @@ from ..votes import Votes
 from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
-from .measure import doubts
 from .measurement import Findings
 from .oblique import card_of, of_each_view
 from .parallax import standing_in_model
@@ -83,7 +82,7 @@ class SweepGeometry:
         fitted : the ruler fitted to boxes of the same network in frames; None for that of its card.
         """
         pictures = {picture.name: picture for picture in source.ground_pictures}
-        lost = {**doubts(found), TOO_FLAT: 0, TOO_COARSE: 0}
+        lost = {**found.uncounted, TOO_FLAT: 0, TOO_COARSE: 0}
         parts, names = [], []
         for name, boxes in found.boxes.items():
             picture = pictures.get(name)

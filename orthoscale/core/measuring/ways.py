@@ -23,7 +23,7 @@ from ..source import PosedSet, Source
 from .contradiction import Cause, cause
 from .drift import with_drift
 from .joining import in_common, united
-from .measure import doubts, measure
+from .measure import measure
 from .measurement import Measurement
 from .method import Method
 from .oblique import FramesGeometry, card_of, shown_in_frames
@@ -45,7 +45,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source, found), fleet, method)
-        uncounted, aspect = sum(doubts(found).values()), source.claimed.aspect
+        uncounted, aspect = sum(found.uncounted.values()), source.claimed.aspect
         scale = plausible(measured.scale, measured.boxes, uncounted, aspect, not found.zoom_given)
         measured = replace(measured, scale=scale)
         return _of_one_scale(measured, *other_size(measured.vehicles))
