@@ -35,7 +35,7 @@ from .observed import Seen
 from .of_fleets import FEW, OfVehicles, of_fleets
 from .one_model import OneModel, of_one_model
 from .posterior import Posterior
-from .usable import MIN_VEHICLES, measurable, seen_of
+from .usable import MIN_VEHICLES, usable
 
 LIKELY_ONE = 0.5  # probability above which a place of one model is reported
 LIKELY = 0.01  # probability below which a fleet is not reported
@@ -53,22 +53,21 @@ def pool(
     fleet: Fleet,
     ruler: Ruler,
     unit: str,
-    geometry: np.ndarray | None = None,
+    of_geometry: np.ndarray | None = None,
     evidence: Sequence[Evidence] = (),
     anchors: Sequence[AnchorVote] = (),
     country: str = "",
 ) -> Scale:
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
-    `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
+    `of_geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
     height, effective height), shared by all votes. `evidence` is other evidence on the scale, `anchors` the objects of
     standard size that were found. `country` decides between their standards (`evidence_of`); if it is not known, some
     anchors help to decide between the candidates of `fleet` (`tells_country`).
     If `fleet` has candidates, each is tried, and weighted by its probability given the vehicles and anchors.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
-    index, size = measurable(votes, ruler)
-    seen, known = seen_of(votes, index, size, ruler, geometry)
+    index, seen, known = usable(votes, ruler, of_geometry)
     unknown = bool(fleet.candidates) and not country
     telling = [vote for vote in anchors if tells_country(vote)] if unknown else []
     best, fleets = _of_candidates(seen, fleet, known, telling)
@@ -81,7 +80,7 @@ def pool(
     vehicles, parts = _widened(best)
     used = np.zeros(len(votes), bool)
     used[index] = best.inlier
-    mean = np.log(size[best.inlier]).mean(0)
+    mean = seen.log_size[best.inlier].mean(0)
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)), unit)
     value, low, high = together.summary
@@ -98,7 +97,7 @@ def pool(
         fleet=fleet.code,
         verdict=verdict(judged, best.tension > CHECK_LIMIT, together.conflict > 0, together.support.doubted),
         used=used,
-        reasons=reasons(used, index, votes.fleeting, np.log(size), mean),
+        reasons=reasons(used, index, votes.fleeting, seen.log_size, mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
