@@ -14,7 +14,7 @@ from ..pooling.usable import MIN_VEHICLES, vote_noise
 from ..remarks import amount
 from ..votes import Sightings, gather
 from .geometry import Geometry
-from .measurement import Measurement, Pooled, tight
+from .measurement import Measurement, Pooled, without_margin
 from .method import Method
 
 NO_HULL = "no vehicle on the ground gives this box"
@@ -50,7 +50,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         )
         votes = gather(sightings[solved], geometry.repeated)
         votes = replace(votes, shown=geometry.shown(votes.place))
-        vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
+        vehicles = replace(votes, size=without_margin(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
         if method.standards is not None:
             country = method.country or fleet.code

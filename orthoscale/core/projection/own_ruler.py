@@ -13,7 +13,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..by_value import ByValue
-from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
+from .exact import BEND, BODIES, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
@@ -69,17 +69,16 @@ class OwnRuler(ByValue):
     body: Hull = Hull()
 
     @classmethod
-    def shipped(
+    def of_card(
         cls,
         height: Sequence[float],
         margin: Sequence[float],
         height_sd: Sequence[float],
         margin_sd: Sequence[float],
-        body: Hull | None = None,
+        body: Hull = BODIES["car"],
         undercut: Sequence[float] = (0.0, 0.0),
     ) -> OwnRuler:
         """The ruler of the detector's card; (2,) each, for lengths and for widths. An undercut of 0 has no sigma."""
-        body = body or Hull()
         leans = body.end_lean, body.side_lean
         value = [[h, m, u, k, body.corner] for h, m, u, k in zip(height, margin, undercut, leans, strict=True)]
         under = KNOWN_UNDERCUT_SD if any(undercut) else 0.0
@@ -196,13 +195,13 @@ class OwnRuler(ByValue):
         variance = np.einsum("ki,kij,kj->k", share, covariance, share)
         return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
 
-    def document(self, shipped: OwnRuler) -> dict[str, Any]:
-        """The fitted values as plain numbers, beside those of the `shipped` ruler."""
+    def document(self, card: OwnRuler) -> dict[str, Any]:
+        """The fitted values as plain numbers, beside those of the detector's `card`."""
         return {
             "views": self.views,
             **{
                 name: {
-                    "card": shipped.value[:, k].tolist(),
+                    "card": card.value[:, k].tolist(),
                     "fitted": self.value[:, k].tolist(),
                     "sd": self.sd[:, k].tolist(),
                 }
