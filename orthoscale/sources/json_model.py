@@ -173,8 +173,8 @@ def _aligned(part: dict[str, Any]) -> bool:
 def _seen(path: Path, content: _Content) -> Observations:
     """A sample of observations from OpenSfM's tracks.csv beside the reconstruction; none if that is missing.
 
-    The lines hold image, track, feature, x, y and more, separated by
-    tabs; x and y are in units of `_opensfm`. Other lines are skipped.
+    The lines hold image, track, feature, x, y and more, separated by tabs; x and y are in units of `_opensfm`. Other
+    lines are skipped.
     """
     cameras = cameras_of(content.model)
     points = {track: k for k, track in enumerate(content.tracks)}
