@@ -11,7 +11,7 @@ from support.blocks import Conditions, fly
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring import oblique
-from orthoscale.core.measuring.in_view import frames_in_view, looked_at
+from orthoscale.core.measuring.in_view import frames_in_view, pictures_with_boxes
 from orthoscale.core.measuring.joining import united
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Measurement, Pooled
@@ -153,7 +153,7 @@ def test_frames_that_show_a_place():
     assert frames_in_view(source, names, far[None], 0.0, 25.0)[0] == 0
     everywhere = frames_in_view(source, names, below, 0.0, 25.0)
     assert (everywhere >= frames_in_view(source, names, below, 0.0, 89.0)).all() and everywhere.max() > 5
-    assert set(looked_at(block.found)) == {n for n, boxes in block.found.boxes.items() if len(boxes)}
+    assert set(pictures_with_boxes(block.found)) == {n for n, boxes in block.found.boxes.items() if len(boxes)}
 
 
 @pytest.mark.slow

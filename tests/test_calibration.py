@@ -18,7 +18,7 @@ from orthoscale.core.projection.self_calibration import self_calibrated, trends
 from orthoscale.core.projection.view import Views
 from orthoscale.fleets import load_fleet
 
-CARD = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
+CARD = OwnRuler.of_card((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_agai
     seen = [simulate.fly(np.random.default_rng(k), 40, DENSEUAV, p, body) for k, p in enumerate((-80, -70))]
     boxes, views = Boxes.concatenate([s.boxes for s in seen]), Views.concatenate([s.views(unit=UNIT) for s in seen])
     every = SeenBoxes(boxes, views, 1.0, UNIT)
-    card = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), upright)
+    card = OwnRuler.of_card((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), upright)
     own = found_ruler(seen, "upright")
     card_off, own_off = (np.log(np.nanmedian(r.size(every)[:, 0]) * UNIT / 4.4) for r in (card, own))
     assert own.height[0] < 0.65 and abs(own_off) < 0.5 * abs(card_off), "lengths: the height makes up for the lean"
@@ -118,13 +118,13 @@ def test_a_body_as_high_as_any_is_tried_with_an_undercut_too():
     seen = [simulate.fly(np.random.default_rng(-p), 60, DENSEUAV, p, van) for p in simulate.PITCHES]
     ruler = found_ruler(seen, "car")
     assert np.isfinite(ruler.value).all() and (ruler.height <= HIGHEST).all()
-    higher = OwnRuler.shipped((3.0, 3.0), (0.0, 0.0), (0.25, 0.25), (1.0, 1.0))  # as a file of boxes may say
+    higher = OwnRuler.of_card((3.0, 3.0), (0.0, 0.0), (0.25, 0.25), (1.0, 1.0))  # as a file of boxes may say
     high = SeenBoxes(seen[-1].boxes, seen[-1].views(unit=UNIT), 1.0, UNIT)
     assert np.isfinite(higher.slopes(high)[np.isfinite(higher.size(high)).all(1)]).any()
 
 
 def test_slopes_do_not_leave_what_bodies_can_be(flight):
-    sharp = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0), Hull(corner=0.0))
+    sharp = OwnRuler.of_card((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0), Hull(corner=0.0))
     slopes = sharp.slopes(flight.seen(), [CORNER])[..., CORNER]
     size = sharp.size(flight.seen())
     share = np.nanmedian(np.abs(slopes / size), axis=0)

@@ -276,8 +276,7 @@ def test_walls_that_lean_do_so_from_the_bumpers_up():
 ])  # fmt: skip
 def test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_the_scale(chance, tilt, drifts):
     trends = Trend(tilt, chance), Trend(0.0, 1.0, tilt, chance)
-    on_map = {"cells": np.empty((0, 5)), "cell": (1.0, 1.0), "tilt_sd": 0.01, "direction": 0.0}
-    tilted, bent = (Drift(**vars(trend), **on_map) for trend in trends)
+    tilted, bent = (Drift(trend, np.empty((0, 5)), (1.0, 1.0), 0.0) for trend in trends)
     assert tilted.drifts == bent.drifts == bool(tilted.warnings) == bool(bent.warnings) == drifts
     models = [ModelDrift({}, [], [], trend) for trend in trends]
     assert [model.drifts for model in models] == [bool(model.warnings) for model in models] == [drifts] * 2

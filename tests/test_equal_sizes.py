@@ -9,8 +9,7 @@ from support.drawings import Drawing, RectangleDetector
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNCONFIRMED, ZoomChoice
 from orthoscale.core.equal_sizes import all_alike, more_of_the_same
-from orthoscale.core.measuring.in_view import looked_at
-from orthoscale.core.measuring.measure import doubts
+from orthoscale.core.measuring.in_view import pictures_with_boxes
 from orthoscale.detect import zoom
 from orthoscale.detect.effort import Effort
 from orthoscale.detect.find import WHY_EQUAL, find_vehicles
@@ -87,7 +86,7 @@ def test_equal_things_that_both_passes_find_are_not_counted_as_found_by_one():
     assert len(found) == len(cars) and found.unconfirmed == 0
     assert len(found.set_aside[WHY_EQUAL]["drawing"]) == len(panels)
     assert found.notes == (f"{len(panels)} boxes do not count: {WHY_EQUAL}",)
-    assert doubts(found) == {UNCONFIRMED: 0, WHY_EQUAL: len(panels)} and looked_at(replace(found, boxes={}))
+    assert found.uncounted == {UNCONFIRMED: 0, WHY_EQUAL: len(panels)} and pictures_with_boxes(replace(found, boxes={}))
 
 
 @pytest.mark.parametrize("given", [1.0, None])

@@ -206,7 +206,7 @@ def test_a_plan_made_by_one_camera_gives_footprints(place, unit):
     boxes = Boxes(np.zeros((1, 5)), np.ones(1))
     flat = (high - low)[None] / unit
     plan = SimpleNamespace(camera=np.full((1, 1), camera / unit), offset=middle, flat=flat, boxes=boxes)
-    ruler = OwnRuler.shipped((height, height), none, (0.25, 0.25), none, BODIES["cuboid"])
+    ruler = OwnRuler.of_card((height, height), none, (0.25, 0.25), none, BODIES["cuboid"])
     assert unit * ruler.size(SweepGeometry._seen(plan, unit))[0] == pytest.approx(size, rel=1e-4)
 
 

@@ -14,7 +14,7 @@ from orthoscale.core.projection.own_ruler import CORNER, HEIGHT, LEAN, OwnRuler
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Sightings, gather
 
-CARD = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.25, 0.25), (0.3, 0.3))
+CARD = OwnRuler.of_card((0.8, 0.8), (0.0, 0.0), (0.25, 0.25), (0.3, 0.3))
 
 
 def test_the_mean_of_two_ways_errs_as_it_does_when_drawn():

@@ -22,6 +22,7 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.requests import EstimateRequest, FixRequest
 from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.database import pose_priors
 from orthoscale.system.signatures import FOLDER_MARK
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
@@ -183,7 +184,7 @@ def test_dense_comes_along(work, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def test_pose_priors_are_left_alone_and_said(work):
+def test_pose_priors_are_left_alone_and_said(work, monkeypatch):
     path = work / "database.db"
     with pycolmap.Database.open(str(path)) as database:
         image = pycolmap.Image(name="a.jpg", camera_id=database.write_camera(
@@ -198,6 +199,9 @@ def test_pose_priors_are_left_alone_and_said(work):
     before = path.read_bytes()
     notes = [*map(str, ColmapSource.open(work / "sparse/0", need_images=False).notes)]
     assert any("its pose prior is not in model units" in note for note in notes)
+    # Beside the model's own files, and named from the current folder, it was not found: an address must be absolute.
+    monkeypatch.chdir(work)
+    assert "its pose prior is not in model units" in pose_priors(Path())
     assert path.read_bytes() == before
     path.unlink()
     sqlite3.connect(path).close()

@@ -83,7 +83,7 @@ def test_a_picture_without_vehicles_is_soon_done_with():
         choice = search_zoom([Pixels(np.zeros((side, side, 3), np.uint8))], blank, blank.card)
         assert choice.vehicle_px is None and choice.zoom == 1.0
         assert blank.pixels < 150e6
-        assert len(choice.table) == 7, "all zooms were looked at"
+        assert len(choice.looks) == 7, "all zooms were looked at"
 
 
 def test_a_picture_too_small_for_any_vehicle_has_none(detector):

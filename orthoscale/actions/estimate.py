@@ -17,7 +17,6 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.footing import BY_POINTS, Footing
-from ..core.measuring.measure import doubts
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.measuring.oblique import FramesGeometry
@@ -251,7 +250,7 @@ def _without_vehicles(
     if not evidence:
         return None
     dims = 2 if source.plan is not None else 3
-    by_the_rest = measured_without_vehicles(evidence, source.unit, asked.fleet.code, dims, doubts(found))
+    by_the_rest = measured_without_vehicles(evidence, source.unit, asked.fleet.code, dims, found.uncounted)
     return _Answer(found, by_the_rest, method, anchors, match)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from .boxes import Boxes
 from .confirmed import AS_LIKELY
@@ -30,6 +30,14 @@ class Tile:
     out_height: int
 
 
+class ZoomLook(NamedTuple):
+    """What the scale search saw at one `zoom`: number of boxes, and of those that the next lower zoom confirms."""
+
+    zoom: float
+    boxes: int
+    confirmed: int
+
+
 @dataclass(frozen=True)
 class ZoomChoice:
     """The result of the scale search. zoom : detector pixels per picture pixel. vehicle_px : the vehicles' length in
@@ -38,7 +46,7 @@ class ZoomChoice:
     one_scale : a vehicle has the same length wherever it stands, as in an orthophoto.
     votes : weighted boxes behind the choice. rival_px : the second best length [px of the picture]. rival : the
     significance of its votes as a share of the best one's.
-    table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
+    looks : at all zooms, from the lowest.
     """
 
     zoom: float
@@ -46,7 +54,7 @@ class ZoomChoice:
     votes: float
     rival_px: float | None
     rival: float
-    table: list[tuple[float, int, int, float]] = field(repr=False)
+    looks: list[ZoomLook] = field(repr=False)
     one_scale: bool = False
 
     @property
@@ -124,6 +132,12 @@ class Detections:
     def unconfirmed(self) -> int:
         """Number of `doubtful` boxes."""
         return sum(map(len, self.doubtful.values()))
+
+    @property
+    def uncounted(self) -> dict[str, int]:
+        """Number of boxes that were detected but do not count, by reason."""
+        aside = {why: sum(map(len, boxes.values())) for why, boxes in self.set_aside.items()}
+        return {UNCONFIRMED: self.unconfirmed, **aside}
 
     def setting_aside(self, why: str, boxes: Mapping[str, Boxes]) -> Detections:
         """The same with more `boxes` set aside, by picture name, for the reason `why`."""

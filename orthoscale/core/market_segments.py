@@ -98,6 +98,11 @@ class Class(ByValue):
         return self.covariance[:2, :2] / np.outer(self.mean[:2], self.mean[:2])
 
 
+def shares_of(classes: Sequence[Class]) -> np.ndarray:
+    """(K,) share of each of `classes` in the vehicles of all of them."""
+    return np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+
+
 def place_vehicles(shares_sd: float) -> tuple[PlaceKind, ...]:
     """PLACE_VEHICLES for a country whose shares of the classes are known to `shares_sd` (one sigma, relative).
 

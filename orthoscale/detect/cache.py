@@ -193,7 +193,9 @@ def _open(path: Path) -> sqlite3.Connection:
     return file
 
 
+@lru_cache
 def _forget_old(folder: Path) -> None:
+    """Delete the caches that nobody used for KEPT_SECONDS; once in a process, for there may be thousands to look at."""
     for path in folder.glob("*.sqlite"):
         with suppress(OSError):  # another user's file, or one that is gone meanwhile
             if time.time() - path.stat().st_mtime > KEPT_SECONDS:

@@ -176,10 +176,11 @@ def find_zoom(
     choice = search_zoom(pictures, detector, detector.card, step, effort.seed, effort.threads)
     choice = settled(choice, pictures, detector, effort, step)
     if choice.vehicle_px is None:
+        looks = choice.looks
         raise TooLittleEvidence(
-            f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
-            f"({amount(sum(row[1] for row in choice.table), 'boxes of low confidence')}, "
-            f"{sum(row[2] for row in choice.table)} of them at two factors)",
+            f"no vehicles found at any resampling factor from {looks[0].zoom:.2g} to {looks[-1].zoom:.2g} "
+            f"({amount(sum(look.boxes for look in looks), 'boxes of low confidence')}, "
+            f"{sum(look.confirmed for look in looks)} of them at two factors)",
             "If there are vehicles, give their size: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
         )
     if other := choice.as_likely:

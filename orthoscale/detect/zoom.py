@@ -24,7 +24,7 @@ import numpy as np
 
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.confirmed import OF_MISTAKES, share_confirmed
-from ..core.detections import Tile, ZoomChoice
+from ..core.detections import Tile, ZoomChoice, ZoomLook
 from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import UsageError
@@ -130,7 +130,7 @@ def search_zoom(
         votes=votes.best,
         rival_px=votes.rival_length,
         rival=votes.rival,
-        table=votes.table,
+        looks=votes.looks,
         one_scale=len(pictures) == 1,
     )
 
@@ -245,7 +245,7 @@ class _Level:
 @dataclass(frozen=True)
 class _ZoomVotes:
     """length, rival_length : the two lengths with the most significant votes [px of the picture], None without any.
-    best : votes of the first. rival, table : as in ZoomChoice.
+    best : votes of the first. rival, looks : as in ZoomChoice.
 
     grid, votes : (K,) log lengths, and the votes of each.
     """
@@ -254,7 +254,7 @@ class _ZoomVotes:
     best: float
     rival_length: float | None
     rival: float
-    table: list[tuple[float, int, int, float]]
+    looks: list[ZoomLook]
     grid: np.ndarray
     votes: np.ndarray
 
@@ -284,7 +284,7 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
 
     least_length : of usable boxes at any zoom [px of the network].
     """
-    ballots, table = [], []
+    ballots, looks = [], []
     lower: _Level | None = None
     there: dict[int, Boxes] = {}
     for level in levels:
@@ -299,16 +299,15 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
             chance = np.full(len(pairs), np.sqrt(1 + level.looked / MISTAKE_EVERY))
             for boxes in (pairs, Boxes.concatenate([low for _, low in confirmed])):
                 ballots.append(_Ballots(boxes.length, vote * boxes.score, chance))
-        typical = float(np.median(pairs.length)) if len(pairs) else 0.0
-        table.append((level.zoom, sum(map(len, here.values())), len(pairs), typical))
+        looks.append(ZoomLook(level.zoom, sum(map(len, here.values())), len(pairs)))
         lower, there = level, here
-    return _counted(ballots, table)
+    return _counted(ballots, looks)
 
 
-def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, float]]) -> _ZoomVotes:
+def _counted(ballots: Sequence[_Ballots], looks: list[ZoomLook]) -> _ZoomVotes:
     """The lengths whose votes are largest in proportion to the scatter of false votes."""
     if not sum(len(some.length) for some in ballots):
-        return _ZoomVotes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
+        return _ZoomVotes(None, 0.0, None, 0.0, looks, np.empty(0), np.empty(0))
     log_length = np.log(np.concatenate([some.length for some in ballots]))
     weight = np.concatenate([some.weight for some in ballots])
     standing_each = weight / np.concatenate([some.chance for some in ballots])
@@ -325,7 +324,7 @@ def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, flo
     second = int(np.argmax(elsewhere))
     rival = float(elsewhere[second] / standing[best])
     length, rival_length = np.exp(grid[[best, second]]).tolist()
-    return _ZoomVotes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
+    return _ZoomVotes(length, float(votes[best]), rival_length if rival else None, rival, looks, grid, votes)
 
 
 def _unlike(boxes: Boxes, zoom: float) -> Boxes:

@@ -198,12 +198,12 @@ def drift_values(drift: Drift) -> dict[str, Any]:
     """The drift of an orthophoto, as in the report."""
     names = ("x_px", "y_px", "vehicles", "deviation", "sd")
     return {
-        "tilt": drift.tilt,
-        "tilt_sd": drift.tilt_sd,
+        "tilt": drift.trend.tilt,
+        "tilt_sd": drift.trend.tilt_sd,
         "direction_deg": float(np.degrees(drift.direction)),
-        "p_tilt": drift.p_tilt,
-        "bend": drift.bend,
-        "p_bend": drift.p_bend,
+        "p_tilt": drift.trend.p_tilt,
+        "bend": drift.trend.bend,
+        "p_bend": drift.trend.p_bend,
         "drifts": drift.drifts,
         "cell_px": list(drift.cell),
         "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],

@@ -20,7 +20,7 @@ def pose_priors(folder: Path) -> str:
     COLMAP 4 writes one for each image with an EXIF orientation, too: it has the direction of gravity, and NaN for a
     position.
     """
-    for place in [folder, *(above for home in homes(folder) for above in home.parents[:FOLDERS_ABOVE])]:
+    for place in (place for home in homes(folder) for place in (home, *home.parents[:FOLDERS_ABOVE])):
         path = place / "database.db"
         if not path.is_file():
             continue

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -62,6 +62,9 @@ NERFSTUDIO = {
 class ExchangeSource(OneFileSource):
     """A reconstruction in one JSON file, with its frames. Made by `ExchangeSource.open`."""
 
+    _marked: bool = False  # as in `_Content`
+    _aligned: bool = False
+
     @classmethod
     def open(
         cls, path: Path | str, images: Path | str | None = None, need_images: bool = True, compare_frames: bool = True
@@ -69,39 +72,43 @@ class ExchangeSource(OneFileSource):
         """Open the file `path`; otherwise like `ColmapSource.open`. Raises InputError."""
         path = Path(path)
         stamp = Stamp.of(path)
-        model, others, said, tracks = _read(path)
-        seen = _seen(path, model, tracks)
+        content = _read(path)
+        model, seen = content.model, _seen(path, content)
         # Of a sample it cannot be told what an image has: those with few observations may have none in it.
         loose = loose_images(model, seen) if _read_whole(_tracks_of(path)) else frozenset()
         consistency = check_consistency(path, model, seen, loose)
         pictures, missing = find_frames(model, path.parent, images, need_images, loose)
-        notes = [*informing(said), *consistency, *missing]
+        notes = [*informing(content.notes), *consistency, *missing]
         if compare_frames:
             told = points_seen(model, seen) if len(seen.image) else points_projected(model)
             notes += check_frames(model, pictures, told)
-        images = None if images is None else Path(images)
-        stamps = (stamp, *map(Stamp.of, others))
-        found = path.parent, "json", pictures, notes, (path, *others), model
-        return cls(path, *found, images, need_images, _stamps=stamps, _loose=loose)
+        return cls(
+            path=path,
+            folder=path.parent,
+            input_format="json",
+            pictures=pictures,
+            notes=notes,
+            images=None if images is None else Path(images),
+            need_images=need_images,
+            _paths=(path, *content.clouds),
+            _model=model,
+            _stamps=(stamp, *map(Stamp.of, content.clouds)),
+            _loose=loose,
+            _marked=content.marked,
+            _aligned=content.aligned,
+        )
 
     @property
     def by_orthoscale(self) -> bool:
         """Whether orthoscale wrote it, and left its mark in it."""
-        text = read_poses(self.path)
-        return MARK in (text if isinstance(text, dict) else _largest(self.path, text)[0])
+        return self._marked
 
     @property
     def metric_already(self) -> str:
         """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or as for any model; or empty."""
         if self.by_orthoscale:
             return BY_ORTHOSCALE
-        text = read_poses(self.path)
-        if isinstance(text, dict):
-            return self._georeferenced
-        part, _ = _largest(self.path, text)
-        placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
-        aligned = "reference_lla" in part and len(placed) >= 3
-        return "OpenSfM aligned it with the GPS of its images" if aligned else self._georeferenced
+        return "OpenSfM aligned it with the GPS of its images" if self._aligned else self._georeferenced
 
     def check_writable(self) -> None:
         """Raise InputError for a point cloud outside the file's folder: its copy would have no place in the output."""
@@ -119,17 +126,30 @@ class ExchangeSource(OneFileSource):
             self.notes.extend(informing(told_of(self.path, scale_file(self.path, out, scale))))
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
-        return _read(out)[0]
+        return _read(out).model
 
 
-def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], list[str]]:
-    """The model in the file `path`, other files that belong to it, notes, and the tracks of its points."""
+class _Content(NamedTuple):
+    """What a file holds. clouds : files of its points. notes : for the user. tracks : of the model's points, in their
+    order. marked : whether orthoscale left its mark in it. aligned : whether OpenSfM aligned it with the GPS of its
+    images."""
+
+    model: pycolmap.Reconstruction
+    clouds: list[Path]
+    notes: list[str]
+    tracks: list[str]
+    marked: bool
+    aligned: bool
+
+
+def _read(path: Path) -> _Content:
+    """The content of the file `path`. Raises InputError."""
     text = read_poses(path)
     try:
         if isinstance(text, list):
             part, notes = _largest(path, text)
-            return _opensfm(path, part), [], notes, list(part["points"])
-        return *_nerfstudio(path, text), [], []
+            return _Content(_opensfm(path, part), [], notes, list(part["points"]), MARK in part, _aligned(part))
+        return _Content(*_nerfstudio(path, text), [], [], MARK in text, False)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
         raise InputError(
             f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({reason(error)})",
@@ -147,21 +167,27 @@ def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], li
     return best, [note]
 
 
-def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Observations:
+def _aligned(part: dict[str, Any]) -> bool:
+    """Whether OpenSfM aligned its reconstruction `part` with the GPS of its images."""
+    placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
+    return "reference_lla" in part and len(placed) >= 3
+
+
+def _seen(path: Path, content: _Content) -> Observations:
     """A sample of observations from OpenSfM's tracks.csv beside the reconstruction; none if that is missing.
 
-    tracks : of the model's points, in their order. The lines hold image, track, feature, x, y and more, separated by
-    tabs; x and y are in units of `_opensfm`. Other lines are skipped.
+    The lines hold image, track, feature, x, y and more, separated by tabs; x and y are in units of `_opensfm`. Other
+    lines are skipped.
     """
-    cameras = cameras_of(model)
-    points = {track: k for k, track in enumerate(tracks)}
+    cameras = cameras_of(content.model)
+    points = {track: k for k, track in enumerate(content.tracks)}
     found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in cameras}
     for line in _some_lines(_tracks_of(path), READ_AT * len(cameras)) if points else ():
         name, track, _, x, y, *_ = [*line.split("\t"), *[""] * 5]
         if name in found and track in points:
             with contextlib.suppress(ValueError):
                 found[name].append((float(x), float(y), points[track]))
-    place = np.array([point.xyz for _, point in sorted(model.points3D.items())])
+    place = np.array([point.xyz for _, point in sorted(content.model.points3D.items())])
     pairs = []
     for (name, seen), some in zip(found.items(), some_of_each([len(v) for v in found.values()]), strict=True):
         x, y, number = np.array(seen, float).reshape(-1, 3)[some].T

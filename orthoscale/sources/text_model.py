@@ -59,8 +59,19 @@ class TextSource(OneFileSource):
         notes += remarks
         if compare_frames:
             notes += check_frames(model, pictures, points_seen(model, seen))
-        found = path.parent, path.suffix, pictures, notes, (path, *lists), model
-        return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)), _loose=loose)
+        return cls(
+            path=path,
+            folder=path.parent,
+            input_format=path.suffix,
+            pictures=pictures,
+            notes=notes,
+            images=root,
+            need_images=need_images,
+            _paths=(path, *lists),
+            _model=model,
+            _stamps=(stamp, *map(Stamp.of, lists)),
+            _loose=loose,
+        )
 
     def _write_file(self, out: Path, scale: float) -> None:
         scale_file(self.path, out, scale)

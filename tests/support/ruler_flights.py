@@ -97,7 +97,7 @@ def fly(
 
 def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.ndarray]:
     """The self-calibrated ruler of a flight, and the remaining error of the scale by lengths and by widths."""
-    card = OwnRuler.shipped(CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD)
+    card = OwnRuler.of_card(CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD)
     ruler = self_calibrated(flight.seen(metres_per_unit), flight.members, card)
     size = ruler.size(flight.seen(metres_per_unit)) * UNIT
     return ruler, np.nanmean(np.log(flight.size[flight.vehicle] / size), axis=0)

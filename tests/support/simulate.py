@@ -181,7 +181,7 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
         Views.concatenate([s.views(unit=UNIT) for s in flights]),
     )
     groups = np.array_split(np.random.default_rng(0).permutation(len(boxes)), len(boxes) // 20)
-    card = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), BODIES[body])
+    card = OwnRuler.of_card((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), BODIES[body])
     return self_calibrated(SeenBoxes(boxes, views, 1.0, UNIT), groups, card)
 
 

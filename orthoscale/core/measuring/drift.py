@@ -32,12 +32,14 @@ class Trend:
         vehicles.
     p_tilt, p_bend : p-values of the gradient, and of the curvature beside it: the probability of one as large as found
         if there were none.
+    tilt_sd : one sigma of `tilt`, None where that was not computed.
     """
 
     tilt: float
     p_tilt: float
     bend: float = 0.0
     p_bend: float = 1.0
+    tilt_sd: float | None = None
 
     @property
     def tilts(self) -> bool:
@@ -62,48 +64,46 @@ class Trend:
     @property
     def figures(self) -> str:
         """Its tilt and, if it is bent, its bend, in words."""
-        return f"{self._change} from side to side{f', bent by {percent(self.bend)}' if self.bends else ''}"
-
-    @property
-    def _change(self) -> str:
-        return f"{100 * self.tilt:.1f} %"
+        unsure = "" if self.tilt_sd is None else f" ± {100 * Z90 * self.tilt_sd:.1f}"
+        change = f"{100 * self.tilt:.1f}{unsure} %{' (90 %)' if unsure else ''}"
+        return f"{change} from side to side{f', bent by {percent(self.bend)}' if self.bends else ''}"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Drift(ByValue, Trend):
+@dataclass(frozen=True, eq=False)
+class Drift(ByValue):
     """The trend of the scale over one picture, and the map of it.
 
     cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], number of vehicles, relative
         deviation of the local scale, its one sigma, which includes the variation between lots. cell : (2,) its size
         [px].
-    tilt_sd : one sigma of `tilt`. direction : in which the scale grows on the ground [rad], from +x, clockwise on
-        screen.
+    direction : in which the scale grows on the ground [rad], from +x, clockwise on screen.
     """
 
+    trend: Trend
     cells: np.ndarray = field(repr=False)
     cell: tuple[float, float]
-    tilt_sd: float
     direction: float
 
     @property
-    def trend(self) -> Trend:
-        """This trend itself, under its name in `model_drift.ModelDrift`."""
-        return self
+    def drifts(self) -> bool:
+        """Whether the trend is significant, and large enough to matter."""
+        return self.trend.drifts
 
     @property
-    def _change(self) -> str:
-        return f"{100 * self.tilt:.1f} ± {100 * Z90 * self.tilt_sd:.1f} % (90 %)"
+    def amplitude(self) -> float:
+        """Relative difference of the scale between its extremes; 0 without a significant drift."""
+        return self.trend.amplitude
 
     @property
     def warnings(self) -> list[str]:
         """What speaks against a single scale, in words; empty without a drift."""
-        found = []
-        if self.tilts:
+        found, trend = [], self.trend
+        if trend.tilts:
             octant = round(self.direction / (np.pi / 4)) % 8
             names = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
-            found.append(f"grows by {100 * self.tilt:.1f} % towards the {names[octant]} (p = {self.p_tilt:.1g})")
-        if self.bends:
-            found.append(f"is bent by {100 * self.bend:.1f} % (p = {self.p_bend:.1g})")
+            found.append(f"grows by {100 * trend.tilt:.1f} % towards the {names[octant]} (p = {trend.p_tilt:.1g})")
+        if trend.bends:
+            found.append(f"is bent by {100 * trend.bend:.1f} % (p = {trend.p_bend:.1g})")
         why = "the orthophoto may be tilted, bent or put together, or its vehicles differ from place to place"
         return [f"the scale {' and '.join(found)}: {why}"] if found else []
 
@@ -151,13 +151,16 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float, aspect:
     along = unit_vector(direction)
     length = float(np.abs(along) @ extent / extent.max())
     across, down = cells.size / square
-    return Drift(
-        cells=np.column_stack([cells.centre / square, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
-        cell=(float(across), float(down)),
+    trend = Trend(
         tilt=float(np.hypot(*gradient)) * length,
-        tilt_sd=float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length,
-        direction=direction,
         p_tilt=plane_fit.p_against(flat_fit),
         bend=float(np.ptp(surfaces[2] @ bowl_fit.coefficients - surfaces[1] @ plane_fit.coefficients)),
         p_bend=bowl_fit.p_against(plane_fit),
+        tilt_sd=float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length,
+    )
+    return Drift(
+        trend=trend,
+        cells=np.column_stack([cells.centre / square, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
+        cell=(float(across), float(down)),
+        direction=direction,
     )

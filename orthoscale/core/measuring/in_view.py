@@ -10,7 +10,7 @@ from ..detections import Detections
 from ..source import PosedSet
 
 
-def looked_at(found: Detections) -> list[str]:
+def pictures_with_boxes(found: Detections) -> list[str]:
     """Names of the pictures with any boxes, whether these count or not: those that were certainly processed. Counting
     all swept pictures instead would reject cars that drove between the frames."""
     every = (found.boxes, found.doubtful, *found.set_aside.values())

@@ -9,13 +9,12 @@ import numpy as np
 
 from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
-from ..detections import UNCONFIRMED, Detections
 from ..fleet import Fleet
 from ..pooling.usable import MIN_VEHICLES, vote_noise
 from ..remarks import amount
 from ..votes import Sightings, gather
 from .geometry import Geometry
-from .measurement import Measurement, Pooled, tight
+from .measurement import Measurement, Pooled, without_margin
 from .method import Method
 
 NO_HULL = "no vehicle on the ground gives this box"
@@ -40,12 +39,18 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
                 f"{amount(int(solved.sum()), 'boxes')} that fit a vehicle, {MIN_VEHICLES} are needed"
             )
         sightings = Sightings(
-            seen.size, geometry.pixel, geometry.place, boxes.score, boxes.sigma, boxes.kinds, seen.lasting,
-            geometry.picture,
-        )  # fmt: skip
+            size=seen.size,
+            pixel=geometry.pixel,
+            place=geometry.place,
+            score=boxes.score,
+            sigma=boxes.sigma,
+            kinds=boxes.kinds,
+            lasting=seen.lasting,
+            picture=geometry.picture,
+        )
         votes = gather(sightings[solved], geometry.repeated)
         votes = replace(votes, shown=geometry.shown(votes.place))
-        vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
+        vehicles = replace(votes, size=without_margin(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
         if method.standards is not None:
             country = method.country or fleet.code
@@ -67,9 +72,3 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         findings=geometry.findings(seen, vehicles, scale),
         pooled=Pooled(seen.ruler, seen.systematic, vote_noise(votes, seen.ruler) / vehicles.size, more),
     )
-
-
-def doubts(found: Detections) -> dict[str, int]:
-    """Number of boxes that were detected but do not count, by reason."""
-    aside = {why: sum(map(len, boxes.values())) for why, boxes in found.set_aside.items()}
-    return {UNCONFIRMED: found.unconfirmed, **aside}

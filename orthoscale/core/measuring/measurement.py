@@ -107,6 +107,6 @@ class Measurement(ByValue):
         return [*self.scale.remarks, *informing(self.notes)]
 
 
-def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
+def without_margin(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
     """(N, 2) sizes of the votes' vehicles, less the boxes' `margin` (2,) [detector px]; always positive."""
     return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)

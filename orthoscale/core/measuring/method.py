@@ -59,12 +59,12 @@ class Method:
         fleet: Fleet,
         ruler: Ruler,
         unit: str,
-        geometry: np.ndarray,
+        of_geometry: np.ndarray,
         more: Sequence[AnchorVote],
     ) -> Scale:
-        """The scale. geometry : (2, 2) relative covariance of lengths and widths, of errors common to all sizes.
+        """The scale. of_geometry : (2, 2) relative covariance of lengths and widths, of errors common to all sizes.
         more : anchors that the boxes themselves show."""
         if self.vehicles_only:
             return pool_paper(votes, fleet, unit)
         seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]
-        return pool(votes, fleet, ruler, unit, geometry, self.evidence, seen, self.country)
+        return pool(votes, fleet, ruler, unit, of_geometry, self.evidence, seen, self.country)

@@ -29,8 +29,7 @@ from ..source import PosedSet
 from ..votes import Votes, view_weights
 from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
-from .in_view import frames_in_view, looked_at
-from .measure import doubts
+from .in_view import frames_in_view, pictures_with_boxes
 from .measurement import Findings, SelfCalibration
 from .method import VARIANTS_BY_NAME, Method
 from .model_drift import model_drift
@@ -82,7 +81,7 @@ class FramesGeometry:
         Raises TooLittleEvidence.
         """
         parts, names, views, places = [], [], [], []
-        lost = doubts(found)
+        lost = found.uncounted
         for name, boxes in found.boxes.items():
             if not len(boxes):
                 continue
@@ -164,18 +163,16 @@ class FramesGeometry:
         return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country, self.footing)]
 
     def _findings(
-        self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, vehicles: Votes, scale: Scale
+        self, seen: Observation, by_card: np.ndarray, by_ruler: np.ndarray, vehicles: Votes, scale: Scale
     ) -> Findings:
-        """From two sizes of the boxes, without the margin: `shipped` (M, 2) by the detector's card, and `bare` (M, 2)
-        by `ruler`."""
+        """From two sizes (M, 2) of the boxes, without the margin: by the detector's card, and by `ruler`."""
         ok = seen.solved
-        changes = trends(
-            shipped[ok], bare[ok], np.degrees(self.views.elevation[ok]), self.pixel[ok], vehicles.counted(scale.used)
-        )
+        elevation, members = np.degrees(self.views.elevation[ok]), vehicles.counted(scale.used)
+        changes = trends(by_card[ok], by_ruler[ok], elevation, self.pixel[ok], members)
         plan, weights = self.source.ground.plane(vehicles.place), view_weights(self.boxes.sigma, seen.lasting)
         return Findings(
             SelfCalibration(self.ruler, self.card, changes),
-            model_drift(bare[ok], weights[ok], self.picture[ok], vehicles, scale, plan),
+            model_drift(by_ruler[ok], weights[ok], self.picture[ok], vehicles, scale, plan),
         )
 
 
@@ -215,8 +212,8 @@ class ExactGeometry(FramesGeometry):
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """The ruler, and how the scale changes from frame to frame and from place to place."""
-        shipped = self.card.size(self.boxes_seen(scale.value))
-        return self._findings(seen, shipped, seen.size, vehicles, scale)
+        by_card = self.card.size(self.boxes_seen(scale.value))
+        return self._findings(seen, by_card, seen.size, vehicles, scale)
 
 
 @dataclass(frozen=True)
@@ -243,21 +240,21 @@ class OtherGeometry(FramesGeometry):
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """How the scale changes from frame to frame and from place to place."""
-        bare = seen.size - self.card.margin * self.pixel[:, None]
-        return self._findings(seen, bare, bare, vehicles, scale)
+        size = seen.size - self.card.margin * self.pixel[:, None]
+        return self._findings(seen, size, size, vehicles, scale)
 
 
 def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
     """(N,) number of processed frames that show the whole of a vehicle at each place (N, 3), if it is as large as a
     typical one of `boxes`."""
     border = float(np.median(boxes.length)) / 2
-    return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
+    return frames_in_view(source, pictures_with_boxes(found), place, border, LOWEST_ELEVATION)
 
 
 def card_of(found: Detections) -> OwnRuler:
     """The ruler of the card of the network that measured the boxes `found`."""
     known, height_sd, body = found.ruler, (HEIGHT_SD, HEIGHT_SD), BODIES[found.body]
-    return OwnRuler.shipped(found.effective_height, known.margin, height_sd, known.margin_sd, body, found.undercut)
+    return OwnRuler.of_card(found.effective_height, known.margin, height_sd, known.margin_sd, body, found.undercut)
 
 
 def of_each_view(ground: np.ndarray, leaning: np.ndarray, size: np.ndarray) -> np.ndarray:

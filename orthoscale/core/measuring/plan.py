@@ -18,7 +18,6 @@ from ..source import Plan
 from ..votes import Votes
 from .drift import drift
 from .geometry import Geometry, Observation
-from .measure import doubts
 from .measurement import Findings
 from .surroundings import Standards, objects_in_plan, rows_in_plan
 from .systematic import Systematic
@@ -66,7 +65,7 @@ class PlanGeometry:
             zoom=found.zoom,
             ruler=found.ruler,
             objects=found.objects.get(source.name, {}),
-            lost=doubts(found),
+            lost=found.uncounted,
         )
 
     @property

@@ -26,8 +26,7 @@ from ..source import NEAR_NADIR, GroundView, PosedSet
 from ..votes import Votes
 from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
-from .in_view import frames_in_view, looked_at
-from .measure import doubts
+from .in_view import frames_in_view, pictures_with_boxes
 from .measurement import Findings
 from .oblique import card_of, of_each_view
 from .parallax import standing_in_model
@@ -83,7 +82,7 @@ class SweepGeometry:
         fitted : the ruler fitted to boxes of the same network in frames; None for that of its card.
         """
         pictures = {picture.name: picture for picture in source.ground_pictures}
-        lost = {**doubts(found), TOO_FLAT: 0, TOO_COARSE: 0}
+        lost = {**found.uncounted, TOO_FLAT: 0, TOO_COARSE: 0}
         parts, names = [], []
         for name, boxes in found.boxes.items():
             picture = pictures.get(name)
@@ -207,7 +206,7 @@ class _Above(NamedTuple):
 def _shown(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
     """(N,) number of frames that show each place (N, 3) from near the nadir. boxes : in ground pictures."""
     pictures = {picture.name: picture for picture in source.ground_pictures}
-    images = [pictures[name].image for name in looked_at(found) if name in pictures]
+    images = [pictures[name].image for name in pictures_with_boxes(found) if name in pictures]
     return frames_in_view(source, images, place, float(np.median(boxes.length)) / 2, NEAR_NADIR)
 
 

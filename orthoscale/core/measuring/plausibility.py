@@ -7,6 +7,7 @@ found by both detection passes, lie on pixels that are not square, or leave out 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..boxes import KINDS, Boxes
 from ..confirmed import AS_LIKELY, OF_MISTAKES
@@ -208,8 +209,6 @@ def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
 
 def standing_in_another(boxes: Boxes) -> np.ndarray:
     """(N,) bool: boxes whose centre lies in another box, or that contain another's centre; all of one picture."""
-    from scipy.spatial import cKDTree
-
     inside = np.zeros(len(boxes), bool)
     if len(boxes) < 2:
         return inside
@@ -227,8 +226,6 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
 def alignment(boxes: Boxes) -> tuple[int, float]:
     """Number of pairs of nearest neighbours in `boxes` (N, of one picture), and how well their directions agree: the
     mean of cos(4 difference), which is 1 for parallel and for perpendicular boxes, and 0 without any pair."""
-    from scipy.spatial import cKDTree
-
     if len(boxes) < 2:
         return 0, 0.0
     distance, nearest = cKDTree(boxes.centre).query(boxes.centre, 2)

@@ -6,7 +6,6 @@ pictures, so each checks the other. They share what the views in frames tell of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -23,7 +22,7 @@ from ..source import PosedSet, Source
 from .contradiction import Cause, cause
 from .drift import with_drift
 from .joining import in_common, united
-from .measure import doubts, measure
+from .measure import measure
 from .measurement import Measurement
 from .method import Method
 from .oblique import FramesGeometry, card_of, shown_in_frames
@@ -45,7 +44,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source, found), fleet, method)
-        uncounted, aspect = sum(doubts(found).values()), source.claimed.aspect
+        uncounted, aspect = sum(found.uncounted.values()), source.claimed.aspect
         scale = plausible(measured.scale, measured.boxes, uncounted, aspect, not found.zoom_given)
         measured = replace(measured, scale=scale)
         return _of_one_scale(measured, *other_size(measured.vehicles))
@@ -88,22 +87,18 @@ def _in_modes(source: PosedSet, found: Detections, fleet: Fleet, method: Method,
             "Remove --detections, or use a file that --save-detections wrote for --mode both.",
         )
     modes: dict[str, Measurement] = {}
-    ways: dict[str, Callable[[], Measurement]] = {
-        OBLIQUE: lambda: measure(FramesGeometry.of(source, found, fleet, method), fleet, method)
-    }
-    if found.planar is not None:
-        planar = found.planar
-        ways[PLANAR] = lambda: measure(
-            SweepGeometry.of(source, planar, _fitted(modes.get(OBLIQUE), planar)), fleet, method
-        )
-    if mode in (OBLIQUE, PLANAR):
-        ways = {mode: ways[mode]}
     failed: dict[str, TooLittleEvidence] = {}
-    for name, way in ways.items():
+    if mode != PLANAR:
         try:
-            modes[name] = way()
+            modes[OBLIQUE] = measure(FramesGeometry.of(source, found, fleet, method), fleet, method)
         except TooLittleEvidence as error:
-            failed[name] = error
+            failed[OBLIQUE] = error
+    if mode != OBLIQUE and found.planar is not None:
+        fitted = _fitted(modes.get(OBLIQUE), found.planar)
+        try:
+            modes[PLANAR] = measure(SweepGeometry.of(source, found.planar, fitted), fleet, method)
+        except TooLittleEvidence as error:
+            failed[PLANAR] = error
     if not modes:
         raise next(iter(failed.values()))
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())

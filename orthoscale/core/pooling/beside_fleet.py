@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ..boxes import KINDS
-from ..market_segments import Class
+from ..market_segments import Class, shares_of
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
@@ -62,7 +62,7 @@ def left_out(classes: Sequence[Class]) -> float:
 
 def partly_hidden(classes: Sequence[Class]) -> Class:
     """The class of partly hidden vehicles of `classes`, by what is seen of them."""
-    weight = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+    weight = shares_of(classes)
     mean, kinds = weight @ [c.mean for c in classes], weight @ [c.kinds for c in classes]
     size, sd = (np.array([*share, 1.0]) * mean for share in (HIDDEN_SIZE, HIDDEN_SD))
     return Class("partly hidden", 1.0, size, sd, 0.0, np.zeros(3), kinds)

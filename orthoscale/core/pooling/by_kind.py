@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from ..fleet import Fleet
-from ..market_segments import PlaceKind
+from ..market_segments import PlaceKind, shares_of
 from .beside_fleet import LARGER, LORRIES, LORRIES_SHARE, OUTLIER_CALLED, OUTLIER_SHARE, left_out
 from .observed import Confusion
 
@@ -50,11 +50,10 @@ def _at(counts: np.ndarray, fleet: Fleet, place: PlaceKind, confusion: Confusion
     """The same at one kind of places: by a Dirichlet-multinomial distribution with the mean and the variance of the
     shares there. They vary with the place's mix of vehicles, and with how the measurer confuses kinds there."""
     classes = fleet.told_apart_by_kind
-    own = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
-    larger = left_out(classes)
+    own, larger = place.shares(shares_of(classes)), left_out(classes)
     vehicles = 1 - OUTLIER_SHARE
     shares = vehicles * np.array(
-        [*(1 - LORRIES_SHARE) * (1 - larger) * place.shares(own), (1 - LORRIES_SHARE) * larger, LORRIES_SHARE]
+        [*(1 - LORRIES_SHARE) * (1 - larger) * own, (1 - LORRIES_SHARE) * larger, LORRIES_SHARE]
     )
     kinds = np.array([c.kinds for c in (*classes, LARGER, LORRIES)])
     names = kinds @ confusion.shares  # (K + 2, 4) what vehicles of each class are called

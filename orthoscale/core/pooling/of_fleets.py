@@ -27,7 +27,7 @@ class OfVehicles:
     weights: np.ndarray  # (2,) of these
     tension: float
     larger_share: float
-    inlier: np.ndarray  # (N,) bool, of the measurable votes
+    inlier: np.ndarray  # (N,) bool, of the usable votes
     log_evidence: float
     of_one_model: float = 0.0  # probability that all are
 

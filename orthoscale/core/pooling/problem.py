@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import digamma
 
 from ..evenly import evenly
-from ..market_segments import PLACE_VEHICLES, Class, PlaceKind
+from ..market_segments import PLACE_VEHICLES, Class, PlaceKind, shares_of
 from .beside_fleet import (
     BESIDE_FLEET,
     HIDDEN_SHARE,
@@ -132,7 +132,7 @@ class Problem:
             inverse=np.linalg.inv(spread),
             turn=turn,
             prior=prior,
-            shares=np.array([c.weight for c in classes]) / sum(c.weight for c in classes),
+            shares=shares_of(classes),
             larger=left_out(classes),
             place=mix.place,
             weights=weights,

@@ -12,7 +12,7 @@ from ..remarks import CAUTION, Remark, signed
 from ..ruler import Ruler
 from ..votes import Votes
 from .of_fleets import FEW, of_fleets
-from .usable import measurable, seen_of
+from .usable import usable
 
 # A place where most vehicles are of one class is proposed where that explains the sizes so many times better [nats]
 # than the country's mix, and changes the scale by so much: at half of simulated lots with 60 % minis in Germany, 0 to 8
@@ -22,7 +22,7 @@ RARE = (0.025, 0.35)  # shares of a class that may be proposed: what is commoner
 
 
 def proposed_class(
-    votes: Votes, fleet: Fleet, ruler: Ruler, geometry: np.ndarray | None = None, named: str = ""
+    votes: Votes, fleet: Fleet, ruler: Ruler, of_geometry: np.ndarray | None = None, named: str = ""
 ) -> Iterator[Remark]:
     """The remark that most vehicles may be of one class that is rare in `fleet`, where their sizes suit that better.
 
@@ -32,7 +32,7 @@ def proposed_class(
     """
     if fleet.candidates or any(c.weight >= MOSTLY for c in fleet.classes):
         return
-    seen, known = seen_of(votes, *measurable(votes, ruler), ruler, geometry)
+    _, seen, known = usable(votes, ruler, of_geometry)
     names = [c.name for c in fleet.classes if RARE[0] < c.weight < RARE[1]]
     usual, *each = of_fleets(seen.few(FEW), [fleet, *map(fleet.mostly, names)], known)
     if usual is None:

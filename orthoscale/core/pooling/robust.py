@@ -35,7 +35,7 @@ from .observed import Seen
 from .of_fleets import FEW, OfVehicles, of_fleets
 from .one_model import OneModel, of_one_model
 from .posterior import Posterior
-from .usable import MIN_VEHICLES, measurable, seen_of
+from .usable import MIN_VEHICLES, usable
 
 LIKELY_ONE = 0.5  # probability above which a place of one model is reported
 LIKELY = 0.01  # probability below which a fleet is not reported
@@ -53,22 +53,21 @@ def pool(
     fleet: Fleet,
     ruler: Ruler,
     unit: str,
-    geometry: np.ndarray | None = None,
+    of_geometry: np.ndarray | None = None,
     evidence: Sequence[Evidence] = (),
     anchors: Sequence[AnchorVote] = (),
     country: str = "",
 ) -> Scale:
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
-    `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
+    `of_geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
     height, effective height), shared by all votes. `evidence` is other evidence on the scale, `anchors` the objects of
     standard size that were found. `country` decides between their standards (`evidence_of`); if it is not known, some
     anchors help to decide between the candidates of `fleet` (`tells_country`).
     If `fleet` has candidates, each is tried, and weighted by its probability given the vehicles and anchors.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
-    index, size = measurable(votes, ruler)
-    seen, known = seen_of(votes, index, size, ruler, geometry)
+    index, seen, known = usable(votes, ruler, of_geometry)
     unknown = bool(fleet.candidates) and not country
     telling = [vote for vote in anchors if tells_country(vote)] if unknown else []
     best, fleets = _of_candidates(seen, fleet, known, telling)
@@ -81,7 +80,7 @@ def pool(
     vehicles, parts = _widened(best)
     used = np.zeros(len(votes), bool)
     used[index] = best.inlier
-    mean = np.log(size[best.inlier]).mean(0)
+    mean = seen.log_size[best.inlier].mean(0)
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)), unit)
     value, low, high = together.summary
@@ -98,7 +97,7 @@ def pool(
         fleet=fleet.code,
         verdict=verdict(judged, best.tension > CHECK_LIMIT, together.conflict > 0, together.support.doubted),
         used=used,
-        reasons=reasons(used, index, votes.fleeting, np.log(size), mean),
+        reasons=reasons(used, index, votes.fleeting, seen.log_size, mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
@@ -154,42 +153,43 @@ def _of_candidates(
     of the likeliest candidate, except the posterior, which is that of all candidates: by how much it is wider counts
     as uncertainty of the fleet.
     """
-    candidates, count = fleet.candidates or (fleet,), len(seen)
+    candidates, count = {one.code: one for one in fleet.candidates or (fleet,)}, len(seen)
 
-    def tried(wanted: Sequence[int], number: int) -> dict[int, OfVehicles]:
-        """The scale by `number` of the votes under each `wanted` candidate; without candidates that cannot be."""
-        found = of_fleets(seen.few(number), [candidates[k] for k in wanted], known)
-        out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
+    def tried(codes: Sequence[str], number: int) -> dict[str, OfVehicles]:
+        """The scale by `number` of the votes under each of the candidates `codes`; without those that cannot be."""
+        found = of_fleets(seen.few(number), [candidates[code] for code in codes], known)
+        out = {code: v for code, v in zip(codes, found, strict=True) if v is not None}
         if not out:
-            raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
+            raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {codes[-1]}")
         return out
 
-    if len(candidates) == 1:
-        return tried([0], count)[0], {candidates[0].code: 1.0}
+    codes = list(candidates)
+    if len(codes) == 1:
+        return tried(codes, count)[codes[0]], {codes[0]: 1.0}
     prior = np.array(fleet.prior)
     if seen.confusion and seen.called.size:
-        prior = prior * country_likelihoods(seen.called, candidates, prior, seen.confusion)
-    each = tried(range(len(candidates)), FEW)
-    probability = _probabilities(each, prior)
+        prior = prior * country_likelihoods(seen.called, fleet.candidates, prior, seen.confusion)
+    each = tried(codes, FEW)
+    probability = _probabilities(each, dict(zip(codes, prior.tolist(), strict=True)))
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
-    full = tried(several, count) if count > FEW else {k: each[k] for k in several}
+    full = tried(several, count) if count > FEW else {code: each[code] for code in several}
     scales = _by_all_votes(each, full)
-    probability = _given_anchors(probability, {k: candidates[k].code for k in scales}, scales, telling)
+    probability = _given_anchors(probability, scales, telling)
     best = full[max(full, key=probability.__getitem__)]  # all votes may be impossible for the likeliest one
-    fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
-    posterior = Posterior.mixed(list(scales.values()), np.array([probability[k] for k in scales]))
+    fleets = {code: p for code, p in probability.items() if p > LIKELY}
+    posterior = Posterior.mixed(list(scales.values()), np.array([probability[code] for code in scales]))
     return _by_fleets(best, posterior), fleets
 
 
-def _by_all_votes(each: Mapping[int, OfVehicles], full: Mapping[int, OfVehicles]) -> dict[int, Posterior]:
-    """The scale under each candidate by all votes, where `each` is by FEW of them and `full`, for the likeliest
-    candidates only, by all.
+def _by_all_votes(each: Mapping[str, OfVehicles], full: Mapping[str, OfVehicles]) -> dict[str, Posterior]:
+    """The scale by all votes under each candidate, by code, where `each` is by FEW of them and `full`, for the
+    likeliest candidates only, by all.
 
     The median shift of the likeliest fleets' scales from FEW to all votes is applied to every fleet. One fleet alone
     would give it too badly: its posterior may have two modes, of which all votes choose the other.
     """
-    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
-    return {k: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
+    moved = np.median([full[code].posterior.centre - each[code].posterior.centre for code in full])
+    return {code: replace(v.posterior, mean=v.posterior.mean + moved) for code, v in each.items()}
 
 
 def _perhaps_of_one_model(best: OfVehicles, one: OneModel | None) -> OfVehicles:
@@ -209,21 +209,18 @@ def _by_fleets(best: OfVehicles, posterior: Posterior) -> OfVehicles:
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider})
 
 
-def _probabilities(each: Mapping[int, OfVehicles], prior: np.ndarray) -> dict[int, float]:
-    """The probability of each fleet, by the evidence of the vehicles' shapes and its `prior`."""
+def _probabilities(each: Mapping[str, OfVehicles], prior: Mapping[str, float]) -> dict[str, float]:
+    """The probability of each fleet, by code: by the evidence of the vehicles' shapes and its `prior`."""
     log = np.array([v.log_evidence for v in each.values()])
-    likelihood = prior[list(each)] * np.exp(SHAPES_TOLD * (log - log.max()))
+    likelihood = np.array([prior[code] for code in each]) * np.exp(SHAPES_TOLD * (log - log.max()))
     return dict(zip(each, (likelihood / likelihood.sum()).tolist(), strict=True))
 
 
 def _given_anchors(
-    probability: Mapping[int, float],
-    codes: Mapping[int, str],
-    scales: Mapping[int, Posterior],
-    telling: Sequence[AnchorVote],
-) -> dict[int, float]:
-    """The probability of each fleet given the anchors that tell the country as well. codes : the fleets' codes. scales
-    : by the vehicles of each."""
-    suits = country_agreement(telling, {codes[k]: scale for k, scale in scales.items()})
-    total = sum(p * suits[codes[k]] for k, p in probability.items())
-    return {k: p * suits[codes[k]] / total for k, p in probability.items()}
+    probability: Mapping[str, float], scales: Mapping[str, Posterior], telling: Sequence[AnchorVote]
+) -> dict[str, float]:
+    """The probability of each fleet, by code, given the anchors that tell the country as well. scales : by the vehicles
+    of each."""
+    suits = country_agreement(telling, scales)
+    total = sum(p * suits[code] for code, p in probability.items())
+    return {code: p * suits[code] / total for code, p in probability.items()}

@@ -19,29 +19,27 @@ SMALLEST_SHARE = 0.3  # least share of a box that must be left once the margin i
 OF_THE_VEHICLE = 0.5
 
 
-def seen_of(
-    votes: Votes, index: np.ndarray, size: np.ndarray, ruler: Ruler, geometry: np.ndarray | None
-) -> tuple[Seen, dict[str, np.ndarray]]:
-    """What is seen of the votes that `measurable` returns; and by part of the uncertainty, the (2, 2) covariances of
-    the errors common to all of them, without the fleet's."""
-    noise, called = vote_noise(votes, ruler)[index], _called(votes, ruler)[index]
-    share_px = np.median(votes.pixel[index, None] / size, axis=0)  # one pixel as a share of length and width
-    known = {
-        "margin": _margin_covariance(ruler, share_px),
-        "geometry": np.zeros((2, 2)) if geometry is None else geometry,
-    }
-    return Seen(np.log(size), noise, called, ruler.shrinkage, ruler.confusion), known
+def usable(
+    votes: Votes, ruler: Ruler, of_geometry: np.ndarray | None
+) -> tuple[np.ndarray, Seen, dict[str, np.ndarray]]:
+    """Indices (M,) of the votes that can be used, in the order of their sizes; what is seen of their vehicles, the
+    margin taken off; and by part of the uncertainty, the (2, 2) covariances of the errors common to all of them,
+    without the fleet's.
 
-
-def measurable(votes: Votes, ruler: Ruler) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (M,) of the votes that can be used, in the order of their sizes, and these sizes (M, 2) without the
-    margin [units]. Raises TooLittleEvidence for fewer than MIN_VEHICLES."""
+    of_geometry : as for `robust.pool`. Raises TooLittleEvidence for fewer than MIN_VEHICLES.
+    """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
     index = np.flatnonzero((size > SMALLEST_SHARE * votes.size).all(1) & ~votes.fleeting)
     if len(index) < MIN_VEHICLES:
         raise TooLittleEvidence(f"{amount(len(index), 'usable vehicles')}, {MIN_VEHICLES} are needed")
     index = index[np.lexsort(size[index].T[::-1])]  # some stages take every n-th: sorted, so that order is irrelevant
-    return index, size[index]
+    size, noise, called = size[index], vote_noise(votes, ruler)[index], _called(votes, ruler)[index]
+    share_px = np.median(votes.pixel[index, None] / size, axis=0)  # one pixel as a share of length and width
+    known = {
+        "margin": _margin_covariance(ruler, share_px),
+        "geometry": np.zeros((2, 2)) if of_geometry is None else of_geometry,
+    }
+    return index, Seen(np.log(size), noise, called, ruler.shrinkage, ruler.confusion), known
 
 
 def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:

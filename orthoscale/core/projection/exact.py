@@ -88,13 +88,12 @@ def _within(inset: float) -> float:
     return min(max(inset, 0.0), 0.45)
 
 
-def ground_size(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull | None = None) -> np.ndarray:
+def ground_size(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull = Hull()) -> np.ndarray:
     """(N, 2) length and width of each vehicle on the ground [units of `views`]; NaN where none explains the box.
 
     `metres_per_unit`, the pooled scale so far, turns the hull's heights into units. Its error enters only through the
     height's share of the box (about a tenth of the box per 10 % at 60 degrees), so two or three rounds settle it.
     """
-    hull = hull or Hull()
     parts = [
         _solve(boxes[part], views[part], metres_per_unit, hull)
         for part in (slice(start, start + CHUNK) for start in range(0, len(boxes), CHUNK))

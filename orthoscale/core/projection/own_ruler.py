@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..boxes import Boxes
 from ..by_value import ByValue
-from .exact import BEND, FLAT, Hull, ground_size, size_by_ends_and_sides
+from .exact import BEND, BODIES, FLAT, Hull, ground_size, size_by_ends_and_sides
 from .view import Views
 
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
@@ -69,17 +70,16 @@ class OwnRuler(ByValue):
     body: Hull = Hull()
 
     @classmethod
-    def shipped(
+    def of_card(
         cls,
         height: Sequence[float],
         margin: Sequence[float],
         height_sd: Sequence[float],
         margin_sd: Sequence[float],
-        body: Hull | None = None,
+        body: Hull = BODIES["car"],
         undercut: Sequence[float] = (0.0, 0.0),
     ) -> OwnRuler:
         """The ruler of the detector's card; (2,) each, for lengths and for widths. An undercut of 0 has no sigma."""
-        body = body or Hull()
         leans = body.end_lean, body.side_lean
         value = [[h, m, u, k, body.corner] for h, m, u, k in zip(height, margin, undercut, leans, strict=True)]
         under = KNOWN_UNDERCUT_SD if any(undercut) else 0.0
@@ -133,32 +133,30 @@ class OwnRuler(ByValue):
         The margin is taken off the box before it is projected: seen obliquely, a pixel covers more ground along the
         viewing direction than across it.
         """
-        views, metres_per_unit = seen.views, seen.metres_per_unit
-        xylwa = seen.boxes.xylwa.copy()
-        # A share of the box, not a length: boxes from above are in model units, however large these are.
-        xylwa[:, 2:4] = np.maximum(seen.boxes.sides - self.margin / seen.zoom, 1e-6 * seen.boxes.sides)
-        swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
-        xylwa[swapped, 2:4] = seen.boxes.sides[swapped]
-        tight = Boxes(xylwa, seen.boxes.score)
-        size = size_by_ends_and_sides(tight, views, metres_per_unit, self.hulls)
+        return self._size(_WithoutMargin(seen, self.margin, self.body))
+
+    def _size(self, tight: _WithoutMargin) -> np.ndarray:
+        """As `size`, of boxes from which the margin was taken off."""
+        views, metres_per_unit = tight.views, tight.metres_per_unit
+        size = size_by_ends_and_sides(tight.boxes, views, metres_per_unit, self.hulls)
         if self.undercut.any():
             above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
             waist_height = np.minimum(self.height, (BEND, self.body.belt))  # up to where ends and sides stand straight
             nearer = 1 - waist_height / metres_per_unit / above  # the waist is closer to the camera than the ground
-            waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
-            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
-        size[swapped] = np.nan
+            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(tight.outline * nearer, size))
+        size[tight.swapped] = np.nan
         return size
 
     def slopes(self, seen: SeenBoxes, columns: Iterable[int] = range(len(DIFFERENCES))) -> np.ndarray:
         """(N, 2 axes, 5) by how much the size falls per unit of each of `value` [units]; 0 except for `columns`."""
-        out = np.zeros((len(seen.boxes), 2, len(DIFFERENCES)))
+        out, tight = np.zeros((len(seen.boxes), 2, len(DIFFERENCES))), _WithoutMargin(seen, self.margin, self.body)
         for k in columns:
             change = np.zeros(len(DIFFERENCES))
             change[k] = DIFFERENCES[k]
             least, most = np.minimum(LOWEST, self.value), np.maximum(LARGEST, self.value)  # a card's may lie beyond
             low, high = (np.clip(self.value + sign * change, least, most) for sign in (-1, 1))
-            less, more = (replace(self, value=value).size(seen) for value in (low, high))
+            ends = (replace(self, value=value) for value in (low, high))
+            less, more = (end.size(seen) if k == MARGIN else end._size(tight) for end in ends)
             out[:, :, k] = (less - more) / (high - low)[:, k]
         return out
 
@@ -196,19 +194,38 @@ class OwnRuler(ByValue):
         variance = np.einsum("ki,kij,kj->k", share, covariance, share)
         return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
 
-    def document(self, shipped: OwnRuler) -> dict[str, Any]:
-        """The fitted values as plain numbers, beside those of the `shipped` ruler."""
+    def document(self, card: OwnRuler) -> dict[str, Any]:
+        """The fitted values as plain numbers, beside those of the detector's `card`."""
         return {
             "views": self.views,
             **{
                 name: {
-                    "card": shipped.value[:, k].tolist(),
+                    "card": card.value[:, k].tolist(),
                     "fitted": self.value[:, k].tolist(),
                     "sd": self.sd[:, k].tolist(),
                 }
                 for k, name in enumerate(("effective_height", "margin_px", "undercut", "lean_per_m", "corner"))
             },
         }
+
+
+class _WithoutMargin:
+    """Boxes from which a `margin` (2,) was taken off. swapped : (N,) bool, those whose longer side would become the
+    shorter one; they are left as they are."""
+
+    def __init__(self, seen: SeenBoxes, margin: np.ndarray, body: Hull):
+        self.views, self.metres_per_unit, self.body = seen.views, seen.metres_per_unit, body
+        xylwa = seen.boxes.xylwa.copy()
+        # A share of the box, not a length: boxes from above are in model units, however large these are.
+        xylwa[:, 2:4] = np.maximum(seen.boxes.sides - margin / seen.zoom, 1e-6 * seen.boxes.sides)
+        self.swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
+        xylwa[self.swapped, 2:4] = seen.boxes.sides[self.swapped]
+        self.boxes = Boxes(xylwa, seen.boxes.score)
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """(N, 2) length and width of vehicles that are no more than an outline on the ground [units]."""
+        return ground_size(self.boxes, self.views, self.metres_per_unit, replace(self.body, height=FLAT))
 
 
 def _median_share(size: np.ndarray, slopes: np.ndarray) -> np.ndarray:

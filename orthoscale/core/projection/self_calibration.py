@@ -42,19 +42,19 @@ HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 
 
 def self_calibrated(
-    boxes: SeenBoxes, members: Sequence[np.ndarray], shipped: OwnRuler, start: OwnRuler | None = None
+    boxes: SeenBoxes, members: Sequence[np.ndarray], card: OwnRuler, start: OwnRuler | None = None
 ) -> OwnRuler:
-    """The ruler by which vehicles have one size in all their views, with the detector's own as the prior.
+    """The ruler by which vehicles have one size in all their views, with that of the detector's `card` as the prior.
 
-    members : indices of each vehicle's boxes. start : the current ruler, if it is not `shipped`.
+    members : indices of each vehicle's boxes. start : the current ruler, if it is not the card's.
     """
     index, vehicle = _often_seen(members)
     if len(index) < MIN_RESIDUALS:
-        return shipped
-    seen = _RulerData(boxes[index], vehicle, shipped)
-    known = shipped.expects_undercut  # then the card is its prior, as for the height
+        return card
+    seen = _RulerData(boxes[index], vehicle, card)
+    known = card.expects_undercut  # then the card is its prior, as for the height
     common = [HEIGHT, *([UNDERCUT] if known else []), *([MARGIN] if _far_and_near(seen.boxes.views, vehicle) else [])]
-    plain = _settled(start or shipped, seen, (common, common))
+    plain = _settled(start or card, seen, (common, common))
     before = plain.size(seen.boxes)
     best, most, fitted = plain, 0.0, (common, common)
     for shape in SHAPES[1:] if known else SHAPES:
@@ -72,16 +72,16 @@ def self_calibrated(
 @dataclass(frozen=True)
 class _RulerData:
     """The data to which a ruler is fitted: N boxes of vehicles with enough views, and (N,) the index of each one's
-    vehicle. shipped : the prior."""
+    vehicle. card : the prior."""
 
     boxes: SeenBoxes
     vehicle: np.ndarray
-    shipped: OwnRuler
+    card: OwnRuler
 
     def prior(self, free: Free) -> np.ndarray:
         """(2, 5, 5) prior covariance if the columns `free` are fitted."""
-        unknown = UNDERCUT in free[0] and not self.shipped.expects_undercut
-        return _with_undercut(self.shipped.covariance) if unknown else self.shipped.covariance
+        unknown = UNDERCUT in free[0] and not self.card.expects_undercut
+        return _with_undercut(self.card.covariance) if unknown else self.card.covariance
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
@@ -94,24 +94,24 @@ def _undercut(ruler: OwnRuler) -> OwnRuler:
 
 def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     """The ruler by which each vehicle of `seen` has one size, starting from `ruler`; values that are not `free` are as
-    shipped."""
-    shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
+    on the card."""
+    card, prior, vehicle = seen.card, seen.prior(free), seen.vehicle
     change, slopes = np.inf, np.empty(0)
     for _ in range(RULER_STEPS):
         size = ruler.size(seen.boxes)
         if change > SAME_SLOPES:
             slopes = ruler.slopes(seen.boxes, {*free[0], *free[1]})
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
-        value, covariance = shipped.value.copy(), shipped.covariance.copy()
+        value, covariance = card.value.copy(), card.covariance.copy()
         for axis in range(2):
             least = ruler.hulls[axis].least_lean[axis]
             for fitted in (free[axis], [k for k in free[axis] if k != LEAN]):
                 x = slopes[good, axis][:, fitted]
                 y = size[good, axis] + x @ ruler.value[axis, fitted]
                 chosen = np.ix_(fitted, fitted)
-                covariance[axis] = shipped.covariance[axis]
+                covariance[axis] = card.covariance[axis]
                 value[axis, fitted], covariance[axis][chosen] = _within(
-                    x, y, vehicle[good], shipped.value[axis, fitted], prior[axis][chosen]
+                    x, y, vehicle[good], card.value[axis, fitted], prior[axis][chosen]
                 )
                 if value[axis, LEAN] >= least:
                     break
@@ -122,7 +122,7 @@ def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
         value = ruler.value + np.clip(share * (value - ruler.value), -np.array(STRIDE), STRIDE)
         value = np.clip(value, LOWEST, LARGEST)
         change = (np.abs(value - ruler.value) / STRIDE).max()
-        ruler = replace(shipped, value=value, covariance=covariance, views=int(good.sum()))
+        ruler = replace(card, value=value, covariance=covariance, views=int(good.sum()))
         if change < RULER_SETTLED:
             break
     return ruler
@@ -136,14 +136,14 @@ def _with_the_rest(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     joint fit of all values. By as much as that fit would change them they may be off besides, but by no more than the
     prior one sigma: far off, the slopes are those of another body.
     """
-    shipped, prior, size, slopes = seen.shipped, seen.prior(free), ruler.size(seen.boxes), ruler.slopes(seen.boxes)
+    card, prior, size, slopes = seen.card, seen.prior(free), ruler.size(seen.boxes), ruler.slopes(seen.boxes)
     good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
-    covariance = np.zeros_like(shipped.covariance)
+    covariance = np.zeros_like(card.covariance)
     for axis in range(2):
         every = np.flatnonzero(np.diag(prior[axis]) > 0)
         x, value, chosen = slopes[good, axis][:, every], ruler.value[axis, every], np.ix_(every, every)
         told, covariance[axis][chosen] = _within(
-            x, size[good, axis] + x @ value, seen.vehicle[good], shipped.value[axis, every], prior[axis][chosen]
+            x, size[good, axis] + x @ value, seen.vehicle[good], card.value[axis, every], prior[axis][chosen]
         )
         before = np.sqrt(np.diag(prior[axis])[every])
         off = np.clip(told - value, -before, before)
