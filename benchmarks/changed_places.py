@@ -111,13 +111,13 @@ def _watermarked(pixels: np.ndarray) -> np.ndarray:
 
 
 def _with_holes(pixels: np.ndarray) -> np.ndarray:
-    """With black holes of 20 to 80 px over two fifths of it, which cut most vehicles, as where a mosaic has gaps."""
+    """With transparent holes of 20 to 80 px over two fifths of it, which cut most vehicles, as gaps of a mosaic do."""
     random = np.random.default_rng(1)
     holes = np.zeros(pixels.shape[:2], np.uint8)
     while holes.mean() < 0.4:
         place = random.integers((pixels.shape[1], pixels.shape[0])).tolist()
         cv2.ellipse(holes, place, random.integers(10, 40, 2).tolist(), float(random.uniform(0, 180)), 0, 360, 1, -1)
-    return np.where(holes[..., None] > 0, np.uint8(0), pixels)
+    return np.dstack([pixels, 255 * (1 - holes)])
 
 
 def _write(
