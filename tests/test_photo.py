@@ -12,6 +12,7 @@ import pyogrio
 import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from support import in_process
 from support.bodies import CAR, VAN, VAN_CORNER, block, body
@@ -572,6 +573,19 @@ def test_an_outline_needs_corners_that_see_the_ground_from_ten_degrees(tmp_path,
         assert LevelledPhoto(photo, 60.0).corners == pytest.approx(outline * (1, -1))
     if pitch == -90:
         assert outline == pytest.approx(np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * np.array(SIZE) / 30)
+
+
+def test_a_level_picture_shows_each_place_once(tmp_path):
+    """With a lens that bends so strongly, what lies beside and behind was shown by pixels of the middle once more."""
+    path = write_photo(tmp_path / "a.jpg")
+    lens = {"width": SIZE[0], "height": SIZE[1], "fx": 700.0, "k1": -0.25}
+    (tmp_path / "a.json").write_text(json.dumps(lens))
+    photo = open_photo(path, lens_file=tmp_path / "a.json", pitch=-50)
+    level = LevelledPhoto(photo, 60.0)
+    y, x = np.nonzero(level.at(1.0).valid)
+    places = level.shown.min(0) + np.column_stack([x, y]) + 0.5
+    nearest, _ = cKDTree(level.shown).query(places)
+    assert len(places) > 5000 and nearest.max() < 0.1 * level.size.max()
 
 
 def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):
