@@ -430,13 +430,19 @@ def test_a_map_that_is_nothing_beside_the_photo_is_refused(places, tmp_path):
     assert done.code == 3 and "all of town.tif less than a 320th of that" in done.error
 
 
+NAMED = {"estimate": "report", "fix": "report", "calibrate": "calibration"}  # what is printed, if not as the command
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("command", LINES)
 def test_json_is_printed_where_it_is_asked_for(command, places, tmp_path):
     if "as_json" not in words_of(command):
         pytest.skip("prints no figures")
     done = outcome((*LINES[command], "--json"), places, tmp_path / "out")
-    assert done.code == 0 and json.loads(done.said), done.error
+    assert done.code == 0, done.error
+    told = json.loads(done.said)
+    if command != "fleets":  # a list
+        assert told.get("format", told.get("kind")).startswith(f"orthoscale {NAMED.get(command, command)} ")
 
 
 def test_the_list_of_facilities_is_printed_as_json():

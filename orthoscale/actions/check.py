@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..requests import EstimateOptions
 
+CHECK_FORMAT = "orthoscale check 1"
 FIND_IT = "Find it with `orthoscale estimate`"
 
 
@@ -55,6 +56,7 @@ class Checked(Brief):
         """Plain values: each comparison, and the scale from the vehicles; what `orthoscale check --json` prints."""
         scale = self.result.scale
         return {
+            "format": CHECK_FORMAT,
             "comparisons": [comparison.document() for comparison in self.comparisons],
             **scale.document(),
             "fleet": scale.fleet,

@@ -26,6 +26,7 @@ LIKELY_RATIO = 0.25  # largest log ratio of the two scales; alignments by chance
 MIN_MATCHED = 6
 NEIGHBOURS_ASKED = 24  # nearest vehicles of a start that test an alignment, before more vehicles do
 PAIR_STEP = 8  # one in this many neighbours makes a pair with the start, the farthest first: it fixes the rotation best
+CROSS_CHECK_FORMAT = "orthoscale check --model 1"
 MOST_VEHICLES_BEGUN = 40  # vehicles from which the search starts
 MOST_PAIRS_TRIED = 20_000  # pairs of the other set that one pair is laid on
 MOST_PAIRS_GROWN = 6  # the best alignments of these, which are fitted to more vehicles
@@ -54,6 +55,7 @@ class CrossCheck:
     def document(self) -> dict[str, Any]:
         """As plain values."""
         return {
+            "format": CROSS_CHECK_FORMAT,
             "units_per_pixel": self.units_per_pixel,
             "common_vehicles": self.common,
             "metres_per_pixel_by_ortho": self.by_ortho,

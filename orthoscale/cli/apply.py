@@ -8,6 +8,8 @@ import click
 
 from .options import CONVERTING, PATH, command, debug_option, json_option, option, overwrite_option, say, say_json
 
+APPLIED_FORMAT = "orthoscale apply 1"
+
 
 @command(
     epilog="\b\nExamples:\n  orthoscale apply scaled/sim3.json splat.ply mesh.glb --out metric/\n"
@@ -35,7 +37,7 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     written = applying.apply(sim3, files, out, overwrite=overwrite)
     if as_json:
         texts = {str(path): notes for path, notes in written.items()}
-        say_json({"scale": Sim3.load(sim3).scale, "written": texts})
+        say_json({"format": APPLIED_FORMAT, "scale": Sim3.load(sim3).scale, "written": texts})
         return
     for path, notes in written.items():
         say(f"written    {path}", *(f"           {note}" for note in notes))

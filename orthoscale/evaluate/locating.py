@@ -24,6 +24,7 @@ from ..version import __version__
 from .places import PlacedSample
 
 NEAR_M, FAR_M = 5.0, 20.0  # [m] within which a photo counts as found; the paper's are 5 and 20
+LOCATING_FORMAT = "orthoscale evaluate --locate 1"
 TRUE_SD = 0.06  # relative 1 sigma with which a true scale, or one with an error, is searched: 90 % are +- 10 %
 ELLIPSIS, ELLIPSIS_STEP = "...", 0.1  # in --scale-errors, and the step for which it stands
 ESTIMATED, TRUE = "estimated", "true"
@@ -133,6 +134,7 @@ def document(
         rows += [{"scale": name, **vars(one)} for one in results]
     ratios = [e.gsd.value / true_scale(s).gsd.value for s, e in zip(samples, estimated, strict=True) if e is not None]
     return {
+        "format": LOCATING_FORMAT,
         "photos": len(samples),
         "satellite": str(search.satellite.source.path),
         "method": search.method,

@@ -22,6 +22,8 @@ from . import score
 from .methods import BY_DEPTH, EXACT, METHODS, by_depth
 from .readers import Sample, read_samples
 
+EVALUATION_FORMAT = "orthoscale evaluate 1"
+
 
 def samples_of(
     path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
@@ -67,6 +69,7 @@ def document(
             "Inspect the boxes (--save-detections), or try another resampling factor (--gsd-hint METRES_PER_PIXEL).",
         )
     text = {
+        "format": EVALUATION_FORMAT,
         "photos": len(samples),
         "fleet": fleet.code,
         "detector": found.detector,

@@ -16,6 +16,7 @@ from .catalogue import Facility, Request, parse_requests
 from .ground import MetricOrthophoto, open_ground, read_area
 from .place import Missing, PlacedFacility, arrange, holds
 
+LAYOUT_FORMAT = "orthoscale layout 1"
 LOT_INSIDE = 0.01  # share of a lot in the picture: columns and rows that are taken for metres have a few thousandths
 LEAST_LOT_M2 = 1.0  # [m2] a smaller lot is in degrees
 
@@ -97,6 +98,7 @@ def document(layout: Layout) -> dict[str, Any]:
     """The layout as plain values. Metres and degrees unless a name says px."""
     ground = layout.ground
     return {
+        "format": LAYOUT_FORMAT,
         "orthophoto": str(ground.source.path),
         "gsd": ground.gsd,
         "scale_interval90": None if ground.interval is None else [ground.gsd * bound for bound in ground.interval],

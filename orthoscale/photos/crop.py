@@ -23,6 +23,7 @@ from ..formats.pictures import write_jpeg
 from ..option import positive
 from ..sources.satellite import Satellite
 
+CROP_FORMAT = "orthoscale crop 1"
 MOST_WINDOWS = 100_000
 QUALITY = 95  # of the JPEGs
 CROP_STRIDE = 0.5  # of a window's size by which the next one is shifted, by default; as in the paper
@@ -161,7 +162,9 @@ def write_crops(
 
 def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:
     """What was cut, as plain values, together with `told`."""
-    return told | {
+    return {
+        "format": CROP_FORMAT,
+        **told,
         "satellite": str(crops.satellite.source.path),
         "satellite_pixel_m": crops.pixel.tolist(),
         "window_px": crops.windows[0, 2:].tolist(),

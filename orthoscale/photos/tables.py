@@ -19,6 +19,7 @@ from .depth.ground import DepthAltitude
 from .measure import PhotoScale
 from .photo import Photo
 
+PHOTOS_FORMAT = "orthoscale photo 1"
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
 ALL_TOGETHER = "all together"  # in place of a photo's name, in the row for all
 OF_ONE_PHOTO = ("xmp_", "depth_")  # prefixes of columns that concern a single photo
@@ -96,6 +97,7 @@ def document(
     """
     used = sum(outcome.measured is not None for outcome in outcomes)
     text: dict[str, Any] = {
+        "format": PHOTOS_FORMAT,
         "photos": len(outcomes),
         "measured": used,
         "used_ratio": used / len(outcomes) if outcomes else 0.0,

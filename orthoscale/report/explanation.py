@@ -10,13 +10,16 @@ from ..core import uncertainty
 from ..core.remarks import percent
 from ..core.scale import PER_PIXEL
 
+EXPLANATION_FORMAT = "orthoscale explain 1"
+
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     """The explanation that `core.uncertainty` gives of a report (`document`), with its scale, verdict and remarks."""
     scale, unit, used, fleet = (report[name] for name in ("scale", "unit", "vehicles_used", "fleet"))
     found = asdict(uncertainty.explain(report["uncertainty"], used, fleet, scale if unit == PER_PIXEL else 0.0))
     said = [remark["text"] for remark in report["remarks"]]
-    return {"scale": scale, "unit": unit, "verdict": report["verdict"], **found, "remarks": said}
+    told = {"format": EXPLANATION_FORMAT, "scale": scale, "unit": unit, "verdict": report["verdict"]}
+    return {**told, **found, "remarks": said}
 
 
 def in_words(explanation: Mapping[str, Any]) -> list[str]:
