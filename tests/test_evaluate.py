@@ -90,6 +90,17 @@ def test_a_visloc_folder(folders):
         assert sample.photo.up == pytest.approx(up, abs=1e-6)
 
 
+def test_a_visloc_region_without_photos_is_told(folders, tmp_path):
+    shutil.copytree(folders / "visloc", tmp_path / "set")
+    (tmp_path / "set/02/drone").rename(tmp_path / "set/02/photos")
+    samples, notes = read_samples(tmp_path / "set")
+    assert {s.region for s in samples} == {"01"}
+    assert notes == ["region 02: no photos, for it has no drone/"]
+    (tmp_path / "set/01/drone").rename(tmp_path / "set/01/photos")
+    with pytest.raises(InputError, match="no region with reference.txt and drone/"):
+        read_samples(tmp_path / "set", "visloc")
+
+
 @pytest.mark.parametrize(("inside", "given", "name"), [("dense", ".", "dense"), ("visloc/01", ".", "01"),
                                                        ("visloc/01/drone", "..", "01")])  # fmt: skip
 def test_a_region_has_its_folders_name_wherever_one_stands(folders, monkeypatch, inside, given, name):

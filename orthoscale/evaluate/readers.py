@@ -69,7 +69,7 @@ def read_samples(
 def _looks_like(path: Path) -> str:
     if path.is_file():
         return "csv"
-    return "visloc" if _regions(path) else "denseuav"
+    return "visloc" if any(map(_has_photos, _regions(path))) else "denseuav"
 
 
 def _photos_in(folder: Path) -> list[Path]:
@@ -104,20 +104,26 @@ def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) 
 
 
 def _regions(folder: Path) -> list[Path]:
-    """Those of the folder and its subfolders that have photos and poses."""
+    """Those of the folder and its subfolders that have poses."""
     candidates = [folder, *sorted(p for p in folder.iterdir() if p.is_dir())]
-    return [p for p in candidates if (p / "reference.txt").is_file() and (p / "drone").is_dir()]
+    return [p for p in candidates if (p / "reference.txt").is_file()]
+
+
+def _has_photos(region: Path) -> bool:
+    return (region / "drone").is_dir()
 
 
 def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
     """Photos with reference poses over a surface model: the altitude is the pose's height minus that of the ground.
     Raises InputError."""
     samples: list[Sample] = []
-    notes: list[str] = []
     regions = _regions(folder)
-    if not regions:
+    if not any(map(_has_photos, regions)):
         raise InputError(f"{folder}: no region with reference.txt and drone/", "Give the folder of the regions.")
-    for region in regions:
+    notes = [
+        f"region {name_of(region)}: no photos, for it has no drone/" for region in regions if not _has_photos(region)
+    ]
+    for region in filter(_has_photos, regions):
         own_lens = lens_file
         if lens_file is None and focal_px is None:
             own_lens = region / "camera.xml"
