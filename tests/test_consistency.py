@@ -290,8 +290,8 @@ def test_other_programs_frames_of_another_flight(tmp_path, writer):
     assert open_source(path, tmp_path / "another", compare_frames=False).notes == []
 
 
-def unobserved(model: pycolmap.Reconstruction, folder: Path) -> Path:
-    """COLMAP's `model` without its observations, as programs write it that only show models."""
+def unobserved(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """The `model` without its observations, as programs write it that only show models."""
     bare = pycolmap.Reconstruction()
     bare.add_camera_with_trivial_rig(model.cameras[1])
     for image in model.images.values():
@@ -299,16 +299,19 @@ def unobserved(model: pycolmap.Reconstruction, folder: Path) -> Path:
         bare.add_image_with_trivial_frame(image_alone, image.cam_from_world())
     for point in model.points3D.values():
         bare.add_point3D(point.xyz, pycolmap.Track(), point.color)
-    return save(bare, folder / "m", "bin")
+    return bare
 
 
-@pytest.mark.parametrize("writer", [nerfstudio, opensfm, unobserved])
+def colmap(model: pycolmap.Reconstruction, folder: Path) -> Path:
+    return save(model, folder / "m", "bin")
+
+
+@pytest.mark.parametrize("writer", [nerfstudio, opensfm, bundler, colmap])
 def test_frames_are_compared_without_observations(tmp_path, writer):
     """By the points that lie in front of each camera. Turned frames gave a scale without a word."""
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
-    path = writer(model, tmp_path)
-    images = list(model.images.values())
-    for image in images:
+    path = writer(unobserved(model), tmp_path)
+    for image in model.images.values():
         own = tmp_path / "own/images" / image.name
         own.parent.mkdir(parents=True, exist_ok=True)
         draw_points(model, image, own)
@@ -327,7 +330,7 @@ def test_another_lens_is_told_without_observations(tmp_path):
     model = make_model()[0]
     for image in model.images.values():
         draw_points(model, image, tmp_path / "frames" / image.name, 0.2)
-    _, note = open_source(unobserved(model, tmp_path), tmp_path / "frames").notes
+    _, note = open_source(colmap(unobserved(model), tmp_path), tmp_path / "frames").notes
     assert "larger than the model's lens does" in note.text
 
 

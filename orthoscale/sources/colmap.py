@@ -36,7 +36,7 @@ from .dense_ground import dense_ground
 from .distortion import project, undistort
 from .fingerprint import Stamp, content_hash, require_unchanged
 from .focal import bend_sd, focal_doubt, without_ground
-from .frame_check import all_points_seen, check_frames, points_projected
+from .frame_check import all_points_seen, check_frames
 from .frames import find_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -107,8 +107,7 @@ class ColmapSource:
             text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
             notes.append(Remark(CAUTION, text))
         if compare_frames:
-            told = all_points_seen(model) if len(files.seen.image) else points_projected(model)
-            notes += check_frames(model, pictures, told)
+            notes += check_frames(model, pictures, all_points_seen(model))
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(

@@ -30,7 +30,7 @@ from .colmap_read import cameras_of
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, loose_images, observations, some_of_each
 from .fingerprint import Stamp
-from .frame_check import check_frames, points_projected, points_seen
+from .frame_check import check_frames, points_seen
 from .frames import find_frames
 from .one_file import OneFileSource
 
@@ -80,8 +80,7 @@ class ExchangeSource(OneFileSource):
         pictures, missing = find_frames(model, path.parent, images, need_images, loose)
         notes = [*informing(content.notes), *consistency, *missing]
         if compare_frames:
-            told = points_seen(model, seen) if len(seen.image) else points_projected(model)
-            notes += check_frames(model, pictures, told)
+            notes += check_frames(model, pictures, points_seen(model, seen))
         return cls(
             path=path,
             folder=path.parent,
